@@ -1,0 +1,14 @@
+//! The CAN layer: identifiers, frames, frame times, and what the middleware asks of a controller.
+//!
+//! COSMIC uses extended (29-bit) data frames of CAN 2.0B only; frames of other kinds on the same bus
+//! are filtered out by the driver.
+
+mod frame;
+mod id;
+mod mailbox;
+mod timing;
+
+pub use frame::{Frame, Payload};
+pub use id::{Etag, Id, Priority, TxNode};
+pub use mailbox::{Command, Mailbox, Outcome};
+pub use timing::{BitRate, ERROR_RECOVERY_BITS, LONGEST_FRAME_BITS, longest_frame_bits};

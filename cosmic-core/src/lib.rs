@@ -1,0 +1,18 @@
+//! COSMIC: event channels on the CAN bus.
+//!
+//! Applications on smart sensors and actuators announce and subscribe to *event channels*, named by a
+//! 64-bit subject, and state the quality they need. This crate turns that into CAN identifiers, a
+//! time-triggered calendar and an earliest-deadline-first queue.
+//!
+//! The crate is sans-IO: it never reads a clock and never touches hardware. `now` is a parameter,
+//! frames and mailbox commands go in and out as values. It does not allocate, contains no `unsafe`,
+//! and all work per call is bounded; the bound is written beside the call.
+#![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod calendar;
+pub mod can;
+pub mod time;
