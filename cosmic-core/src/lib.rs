@@ -16,3 +16,6 @@ extern crate std;
 pub mod calendar;
 pub mod can;
 pub mod time;
+pub mod uid;
+
+pub use uid::{NodeUid, Subject};
