@@ -1,2 +1,30 @@
-//! TODO
+//! STM32F405/407 boards: clocks, pins, the bxCAN controller and the timer. No protocol.
+//!
+//! The middleware speaks in values: [`Command`](cosmic_core::can::Command)s go in,
+//! [`Outcome`](cosmic_core::can::Outcome)s and frames come out, and time is a parameter. This crate is
+//! the other end: it turns them into register accesses of one microcontroller.
+//!
+//! * [`bxcan_tx`]: the three transmit mailboxes, each a type of its own, so that the time-triggered half
+//!   of the middleware needs no lock to use its mailbox.
+//! * [`bxcan_rx`]: the two receive FIFOs, the acceptance filters and the error state.
+//! * [`bit_timing`]: the bit timing register for a bit rate.
+//! * [`clock`]: the monotonic timer, and its conversion to the middleware's local time.
+//! * [`stm32f4`]: brings a board up and hands out the parts.
+//!
+//! [`bit_timing`] and the register logic of [`bxcan_tx`] also build on the host, where they are tested.
 #![no_std]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod bit_timing;
+#[cfg(target_arch = "arm")]
+pub mod bxcan_rx;
+pub mod bxcan_tx;
+#[cfg(target_arch = "arm")]
+pub mod clock;
+#[cfg(target_arch = "arm")]
+pub mod stm32f4;
+
+#[cfg(target_arch = "arm")]
+pub use stm32f4xx_hal::pac;

@@ -1,0 +1,100 @@
+//! The bit timing register (`CAN_BTR`) for a bit rate.
+//!
+//! A bit is divided into time quanta: one for synchronisation, segment 1 up to the sample point, and
+//! segment 2 behind it (RM0090, bxCAN bit timing). Of the divisions that give the bit rate exactly, the
+//! one whose sample point lies nearest to 87.5 % is taken, which CiA 301 recommends.
+
+use cosmic_core::can::BitRate;
+
+/// A division of the bit, as the register holds it.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct BitTiming {
+    prescaler: u32,
+    segment_1: u32,
+    segment_2: u32,
+}
+
+impl BitTiming {
+    /// The division of a bit of `bit_rate` where the peripheral runs at `clock` Hz. `None` if that clock
+    /// cannot give the rate exactly.
+    pub const fn new(clock: u32, bit_rate: BitRate) -> Option<Self> {
+        let mut best: Option<(Self, u32)> = None;
+        // More quanta place the sample point more finely, so that a tie goes to the larger number.
+        let mut quanta = MOST_QUANTA;
+        while quanta >= FEWEST_QUANTA {
+            let divisor = bit_rate.bits_per_second() * quanta;
+            if clock.is_multiple_of(divisor) && clock / divisor <= LARGEST_PRESCALER {
+                // The sample point stands behind the synchronisation quantum and segment 1.
+                let before = (quanta * SAMPLE_POINT_PERMILLE + 500) / 1000;
+                let segment_2 = quanta - before;
+                let off = before * 1_000_000 / quanta;
+                let off = off.abs_diff(SAMPLE_POINT_PERMILLE * 1000);
+                let nearer = match best {
+                    None => true,
+                    Some((_, least)) => off < least,
+                };
+                if nearer && segment_2 >= 1 && segment_2 <= 8 && before >= 2 && before <= 17 {
+                    let timing = Self { prescaler: clock / divisor, segment_1: before - 1, segment_2 };
+                    best = Some((timing, off));
+                }
+            }
+            quanta -= 1;
+        }
+        match best {
+            Some((timing, _)) => Some(timing),
+            None => None,
+        }
+    }
+
+    /// The value of `CAN_BTR`, with the widest resynchronisation jump that segment 2 allows.
+    pub const fn register(self) -> u32 {
+        let jump = if self.segment_2 < 4 { self.segment_2 } else { 4 };
+        (jump - 1) << 24 | (self.segment_2 - 1) << 20 | (self.segment_1 - 1) << 16 | (self.prescaler - 1)
+    }
+
+    /// Time quanta in a bit.
+    pub const fn quanta(self) -> u32 {
+        1 + self.segment_1 + self.segment_2
+    }
+
+    /// By what the peripheral's clock is divided to give one time quantum.
+    pub const fn prescaler(self) -> u32 {
+        self.prescaler
+    }
+}
+
+const FEWEST_QUANTA: u32 = 8;
+const MOST_QUANTA: u32 = 25;
+const LARGEST_PRESCALER: u32 = 1024;
+const SAMPLE_POINT_PERMILLE: u32 = 875;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CLOCK: u32 = 42_000_000;
+
+    #[test]
+    fn every_usual_rate_is_exact() {
+        for rate in [1_000_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000] {
+            let timing = BitTiming::new(CLOCK, BitRate::new(rate).unwrap()).unwrap();
+            assert_eq!(CLOCK / timing.prescaler() / timing.quanta(), rate);
+            assert_eq!(CLOCK % (timing.prescaler() * timing.quanta()), 0);
+            let sample = (1 + timing.segment_1) * 1000 / timing.quanta();
+            assert!((850..=900).contains(&sample), "{rate}: sample point at {sample} permille");
+        }
+    }
+
+    #[test]
+    fn the_register_of_one_megabit() {
+        let timing = BitTiming::new(CLOCK, BitRate::MAX).unwrap();
+        // 14 quanta: prescaler 3, segment 1 of 11, segment 2 of 2, jump of 2.
+        assert_eq!(timing, BitTiming { prescaler: 3, segment_1: 11, segment_2: 2 });
+        assert_eq!(timing.register(), 0x011A_0002);
+    }
+
+    #[test]
+    fn a_rate_that_the_clock_cannot_give_is_refused() {
+        assert_eq!(BitTiming::new(CLOCK, BitRate::new(800_000).unwrap()), None);
+    }
+}

@@ -1,0 +1,167 @@
+//! Boards with an STM32F405 or STM32F407 and an 8 MHz crystal.
+//!
+//! The core runs at 168 MHz, APB1 with CAN1 at 42 MHz, the timers behind it at 84 MHz. CAN1 is on PB8
+//! (receive) and PB9 (transmit); a transceiver is needed. PB12 to PB15 are measuring points.
+//!
+//! | pin | use |
+//! |---|---|
+//! | PB8, PB9 | CAN1 RX, TX |
+//! | PB12..PB15 | [`MeasuringPoints`] |
+
+use bxcan::Interrupts;
+use cosmic_core::can::BitRate;
+use rtic_monotonics::stm32::Priority;
+use stm32f4xx_hal::can::CanExt as _;
+use stm32f4xx_hal::gpio::{GpioExt as _, Output, Pin};
+use stm32f4xx_hal::pac;
+use stm32f4xx_hal::rcc::{Config, RccExt as _};
+use stm32f4xx_hal::time::Hertz;
+
+use crate::bit_timing::BitTiming;
+use crate::bxcan_rx::{AcceptanceFilter, BusStatus, OtherFrames, RxFrames, UrgentFrames, apply_filters};
+use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxMailboxes, TxOutcomes};
+use crate::clock::Mono;
+
+/// The parts of a board, each for one owner.
+pub struct Board {
+    /// Transmit mailbox of the time-triggered half.
+    pub hard: HardMailbox,
+    /// Transmit mailbox of the EDF queue.
+    pub soft: SoftMailbox,
+    /// Transmit mailbox of the non real-time queue.
+    pub non_real_time: NonRealTimeMailbox,
+    /// For the interrupt `CAN1_TX`.
+    pub outcomes: TxOutcomes,
+    /// For the interrupt `CAN1_RX0`.
+    pub urgent: UrgentFrames,
+    /// For the interrupt `CAN1_RX1`.
+    pub other: OtherFrames,
+    /// The error state of the controller.
+    pub bus: BusStatus,
+    /// Pins for an oscilloscope.
+    pub points: MeasuringPoints,
+}
+
+/// What a board is brought up with.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings<'a> {
+    /// The bit rate of the bus; one that 42 MHz can give exactly.
+    pub bit_rate: BitRate,
+    /// Which frames to receive, and where; at most 14.
+    pub filters: &'a [AcceptanceFilter],
+}
+
+/// Why a board cannot be brought up.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum BoardError {
+    /// The controller's clock cannot give the bit rate exactly.
+    BitRate,
+    /// More filters than banks.
+    Filters,
+}
+
+impl Board {
+    /// Sets the clocks, starts the timer, and joins the bus.
+    ///
+    /// Waits until the crystal runs and the bus has been recessive for 11 bits; call it before interrupts
+    /// are enabled, as RTIC's `init` does. `timer` is the priority of the timer's interrupt, at or below
+    /// that of the tasks which it wakes.
+    ///
+    /// # Errors
+    /// If the settings ask for what the controller cannot do.
+    pub fn new(
+        device: pac::Peripherals,
+        settings: Settings<'_>,
+        timer: Priority,
+    ) -> Result<Self, BoardError> {
+        let timing = BitTiming::new(APB1, settings.bit_rate).ok_or(BoardError::BitRate)?;
+        let clocks = Config::hse(Hertz::from_raw(CRYSTAL))
+            .sysclk(Hertz::from_raw(CORE))
+            .pclk1(Hertz::from_raw(APB1))
+            .pclk2(Hertz::from_raw(APB2));
+        let mut rcc = device.RCC.freeze(clocks);
+        Mono::start(rcc.clocks.timclk1().raw(), timer);
+
+        let port = device.GPIOB.split(&mut rcc);
+        let points = MeasuringPoints {
+            calendar: MeasuringPoint { pin: port.pb12.into_push_pull_output() },
+            published: MeasuringPoint { pin: port.pb13.into_push_pull_output() },
+            delivered: MeasuringPoint { pin: port.pb14.into_push_pull_output() },
+            exception: MeasuringPoint { pin: port.pb15.into_push_pull_output() },
+        };
+
+        let can = device.CAN1.can((port.pb9, port.pb8), &mut rcc);
+        // Frames are sent in the order of their identifiers (TXFP = 0, the reset value), and again until
+        // they succeed. The driver turns on automatic recovery from bus-off.
+        let mut can = bxcan::Can::builder(can)
+            .set_bit_timing(timing.register())
+            .set_automatic_retransmit(true)
+            .leave_disabled();
+        apply_filters(&mut can, settings.filters).map_err(|_| BoardError::Filters)?;
+        can.enable_interrupts(
+            Interrupts::TRANSMIT_MAILBOX_EMPTY
+                | Interrupts::FIFO0_MESSAGE_PENDING
+                | Interrupts::FIFO1_MESSAGE_PENDING,
+        );
+        // Ends: the controller wakes up, and the bus is recessive after every frame.
+        while can.enable_non_blocking().is_err() {}
+        let (_, urgent, other) = can.split();
+
+        // SAFETY: the registers of CAN1 are there for good. `can` was taken apart and its transmit part
+        // dropped, so nothing else writes the mailboxes or CAN_TSR.
+        let mailboxes = unsafe { TxMailboxes::new(pac::CAN1::ptr().cast_mut().cast()) };
+        let (hard, soft, non_real_time, outcomes) = mailboxes.split();
+        Ok(Self {
+            hard,
+            soft,
+            non_real_time,
+            outcomes,
+            urgent: RxFrames::new(urgent),
+            other: RxFrames::new(other),
+            bus: BusStatus::new(),
+            points,
+        })
+    }
+}
+
+/// Pins that show on an oscilloscope what the node does. Each changes when the event occurs.
+pub struct MeasuringPoints {
+    /// PB12: high while the calendar task runs.
+    pub calendar: MeasuringPoint<12>,
+    /// PB13: changes when an event is published.
+    pub published: MeasuringPoint<13>,
+    /// PB14: changes when an event is delivered.
+    pub delivered: MeasuringPoint<14>,
+    /// PB15: changes when an exception is raised.
+    pub exception: MeasuringPoint<15>,
+}
+
+/// A pin of port B for an oscilloscope. It owns its pin only, so no two contend.
+pub struct MeasuringPoint<const N: u8> {
+    pin: Pin<'B', N, Output>,
+}
+
+impl<const N: u8> MeasuringPoint<N> {
+    /// High.
+    #[inline]
+    pub fn set(&mut self) {
+        self.pin.set_high();
+    }
+
+    /// Low.
+    #[inline]
+    pub fn clear(&mut self) {
+        self.pin.set_low();
+    }
+
+    /// The other level.
+    #[inline]
+    pub fn toggle(&mut self) {
+        self.pin.toggle();
+    }
+}
+
+const CRYSTAL: u32 = 8_000_000;
+const CORE: u32 = 168_000_000;
+const APB1: u32 = 42_000_000;
+const APB2: u32 = 84_000_000;
