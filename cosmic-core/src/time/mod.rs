@@ -10,6 +10,12 @@
 //! Both count nanoseconds in 64 bits, which wrap after 584 years, so their arithmetic wraps and has
 //! no panic path. [`Duration`] is `fugit`'s, and converts to and from any other unit.
 
+mod clock;
+mod rate;
+
+pub use clock::{GlobalClock, Uncertainty};
+pub use rate::{Rate, RateChange};
+
 /// A span of time, in nanoseconds.
 pub type Duration = fugit::NanosDurationU64;
 
