@@ -1,0 +1,389 @@
+//! HRT message buffers: what the two halves of a node share.
+
+use crate::calendar::{Calendar, Slot, SlotTimes};
+use crate::can::{Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
+use crate::network::id_map::IdMap;
+use crate::time::{Duration, GlobalClock, GlobalInstant, Instant};
+
+/// A message buffer: one for each hard real-time channel and publisher that concern this node.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct BufferId(pub(super) u8);
+
+/// What a node has to do with a hard real-time channel.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Role {
+    /// It publishes in the slot.
+    pub publishes: bool,
+    /// It wants what is published in the slot.
+    pub subscribes: bool,
+}
+
+/// An event that has become visible at its delivery instant.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Delivery {
+    /// The channel.
+    pub etag: Etag,
+    /// Who published it.
+    pub publisher: TxNode,
+    /// The data.
+    pub payload: Payload,
+    /// When the frame arrived, or was sent by this node itself.
+    pub received_at: Instant,
+    /// The delivery instant that the calendar gives it.
+    pub delivered_at: GlobalInstant,
+}
+
+/// What happened in the slots of one buffer since it was attached. All counts wrap.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Counters {
+    /// Published events that were sent within their window.
+    pub sent: u32,
+    /// Published events that were not sent within their window: the faults on the bus exceeded the
+    /// omission degree.
+    pub omitted: u32,
+    /// Slots of a periodic channel for which nothing fresh had been published.
+    pub unused: u32,
+    /// Published events replaced by a newer one before their slot came.
+    pub replaced: u32,
+    /// Slots in which nothing was sent, because the dispatcher came too late or the mailbox was not free.
+    pub skipped: u32,
+    /// Slots passed over in silence, because the clock was out of bound or the calendar another one.
+    pub inhibited: u32,
+    /// Events delivered at their instant.
+    pub delivered: u32,
+    /// Slots of a periodic channel in which nothing was received.
+    pub missed: u32,
+    /// Further copies of an event, suppressed.
+    pub duplicates: u32,
+    /// Frames that arrived outside their window, dropped.
+    pub untimely: u32,
+    /// Delivered events that the event layer did not fetch before the next one.
+    pub overrun: u32,
+}
+
+impl Counters {
+    /// Nothing has happened yet.
+    pub const NONE: Self = Self {
+        sent: 0,
+        omitted: 0,
+        unused: 0,
+        replaced: 0,
+        skipped: 0,
+        inhibited: 0,
+        delivered: 0,
+        missed: 0,
+        duplicates: 0,
+        untimely: 0,
+        overrun: 0,
+    };
+}
+
+/// A request to take part in a slot of the calendar; see [`HrtBuffers::attach`].
+#[derive(Clone, Copy, Debug)]
+pub struct Attach<'c> {
+    /// The calendar of the segment.
+    pub calendar: &'c Calendar,
+    /// One of its slots.
+    pub slot: &'c Slot,
+    /// What this node does in it.
+    pub role: Role,
+}
+
+/// Why a node cannot take part in a slot.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum AttachError {
+    /// All buffers, or all places for slots, are in use: make `N` larger.
+    Full,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Buffer {
+    pub(super) id: Id,
+    pub(super) role: Role,
+    /// Published and not yet loaded.
+    pub(super) outgoing: Option<Payload>,
+    /// Loaded; kept until the outcome is known, for local subscribers.
+    in_mailbox: Payload,
+    /// Received in the slot that is open, not yet visible.
+    pub(super) arriving: Option<(Payload, Instant)>,
+    visible: Option<Delivery>,
+    window: Duration,
+    pub(super) counters: Counters,
+}
+
+/// A slot of the calendar in which this node takes part, as the dispatcher needs it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LocalSlot {
+    pub(super) buffer: u8,
+    pub(super) periodic: bool,
+    pub(super) period: Duration,
+    pub(super) phase: Duration,
+    pub(super) times: SlotTimes,
+    /// The revision with which it was attached.
+    pub(super) attached: u32,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum HardMailbox {
+    Empty,
+    Loaded(u8),
+    Withdrawing(u8),
+}
+
+/// The message buffers of a node, for up to `N` slots of the calendar; `N` is a power of two.
+///
+/// Built first, in any order and at any time: [`attach`](Self::attach) and [`detach`](Self::detach), by
+/// the event layer. Then, by
+///
+/// * the event layer: [`publish`](Self::publish), [`take`](Self::take), [`counters`](Self::counters),
+///   [`set_clock`](Self::set_clock), [`inhibit`](Self::inhibit);
+/// * the receive interrupt: [`on_frame`](Self::on_frame);
+/// * the transmit interrupt: [`on_outcome`](Self::on_outcome);
+/// * the dispatcher, in [`Dispatcher::poll`](super::Dispatcher::poll).
+///
+/// All are O(1), but for `attach` and `detach`, which are O(N).
+#[derive(Clone, Debug)]
+pub struct HrtBuffers<const N: usize> {
+    buffers: [Option<Buffer>; N],
+    by_id: IdMap<N>,
+    pub(super) slots: [Option<LocalSlot>; N],
+    /// Counts changes of `slots`, so that the dispatcher sees them.
+    pub(super) revision: u32,
+    pub(super) mailbox: HardMailbox,
+    pub(super) clock: GlobalClock,
+    pub(super) inhibited: bool,
+}
+
+impl<const N: usize> HrtBuffers<N> {
+    /// Buffers of a node that takes part in no slot yet.
+    pub const fn new(clock: GlobalClock) -> Self {
+        const { assert!(N <= 128, "at most 128 slots concern one node") };
+        Self {
+            buffers: [None; N],
+            by_id: IdMap::new(),
+            slots: [None; N],
+            revision: 0,
+            mailbox: HardMailbox::Empty,
+            clock,
+            inhibited: false,
+        }
+    }
+
+    /// Takes part in a slot. Roles add up when the same channel and publisher are attached again. The
+    /// dispatcher acts on it from its next wake-up on.
+    ///
+    /// # Errors
+    /// [`AttachError::Full`]; nothing has changed then.
+    pub fn attach(&mut self, request: &Attach<'_>) -> Result<BufferId, AttachError> {
+        let slot = request.slot;
+        let id = Id::new(Priority::HARD, slot.publisher, slot.etag);
+        let times = request.calendar.slot_times(slot);
+        let known = self.by_id.get(id.raw());
+        let at = match known {
+            Some(at) => usize::from(at),
+            None => self.buffers.iter().position(Option::is_none).ok_or(AttachError::Full)?,
+        };
+        let local = LocalSlot {
+            buffer: at as u8,
+            periodic: slot.periodic,
+            period: slot.period,
+            phase: slot.phase,
+            times,
+            attached: self.revision.wrapping_add(1),
+        };
+        let same = |place: &Option<LocalSlot>| {
+            place.is_some_and(|there| there.buffer == local.buffer && there.phase == local.phase)
+        };
+        let place = (self.slots.iter().position(same).filter(|_| known.is_some()))
+            .or_else(|| self.slots.iter().position(Option::is_none))
+            .ok_or(AttachError::Full)?;
+        if known.is_none() {
+            self.by_id.insert(id.raw(), at as u8).map_err(|_| AttachError::Full)?;
+            self.buffers[at] = Some(Buffer::new(id));
+        }
+        if let Some(buffer) = &mut self.buffers[at] {
+            buffer.role.publishes |= request.role.publishes;
+            buffer.role.subscribes |= request.role.subscribes;
+            buffer.window = buffer.window.max(times.delivery);
+        }
+        self.slots[place] = Some(local);
+        self.revision = self.revision.wrapping_add(1);
+        Ok(BufferId(at as u8))
+    }
+
+    /// Gives up a role in all slots of the buffer; without any role left the buffer becomes free.
+    pub fn detach(&mut self, id: BufferId, role: Role) {
+        let Some(place) = self.buffers.get_mut(usize::from(id.0)) else { return };
+        let Some(buffer) = place else { return };
+        if role.publishes {
+            buffer.role.publishes = false;
+            buffer.outgoing = None;
+        }
+        if role.subscribes {
+            buffer.role.subscribes = false;
+            buffer.arriving = None;
+            buffer.visible = None;
+        }
+        if buffer.role != Role::default() {
+            return;
+        }
+        self.by_id.remove(buffer.id.raw());
+        *place = None;
+        for slot in &mut self.slots {
+            if slot.is_some_and(|slot| slot.buffer == id.0) {
+                *slot = None;
+            }
+        }
+        self.revision = self.revision.wrapping_add(1);
+    }
+
+    /// Puts an event into the buffer, to be sent in the next slot. An older one that is still there is
+    /// replaced and counted.
+    #[inline]
+    pub fn publish(&mut self, id: BufferId, payload: Payload) {
+        if let Some(buffer) = self.buffer_mut(id.0) {
+            if buffer.outgoing.replace(payload).is_some() {
+                buffer.counters.replaced = buffer.counters.replaced.wrapping_add(1);
+            }
+        }
+    }
+
+    /// Fetches the event that became visible last, once.
+    #[inline]
+    pub fn take(&mut self, id: BufferId) -> Option<Delivery> {
+        self.buffer_mut(id.0)?.visible.take()
+    }
+
+    /// What has happened in the slots of this buffer.
+    pub fn counters(&self, id: BufferId) -> Option<Counters> {
+        Some(self.buffer(id.0)?.counters)
+    }
+
+    /// A new copy of the clock's parameters.
+    pub fn set_clock(&mut self, clock: GlobalClock) {
+        self.clock = clock;
+    }
+
+    /// Keeps the node silent in all its slots, or lets it speak again; for a node whose calendar is not
+    /// that of the segment.
+    pub fn inhibit(&mut self, inhibited: bool) {
+        self.inhibited = inhibited;
+    }
+
+    /// A frame has arrived. Says whether it belongs to a buffer of this node that subscribes to it.
+    ///
+    /// The first copy in a window is kept, until its delivery instant. At most one map look-up.
+    #[inline]
+    pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) -> bool {
+        let Some(at) = self.by_id.get(frame.id.raw()) else { return false };
+        match self.buffer_mut(at) {
+            Some(buffer) if buffer.role.subscribes => {
+                buffer.arrived(frame.payload, received_at);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// The HRT mailbox has become empty.
+    pub fn on_outcome(&mut self, outcome: Outcome, at: Instant) {
+        let loaded = match self.mailbox {
+            HardMailbox::Loaded(buffer) | HardMailbox::Withdrawing(buffer) => buffer,
+            HardMailbox::Empty => return,
+        };
+        self.mailbox = HardMailbox::Empty;
+        let Some(buffer) = self.buffer_mut(loaded) else { return };
+        match outcome {
+            Outcome::Sent => {
+                buffer.counters.sent = buffer.counters.sent.wrapping_add(1);
+                if buffer.role.subscribes {
+                    buffer.arrived(buffer.in_mailbox, at);
+                }
+            }
+            Outcome::Withdrawn => buffer.counters.omitted = buffer.counters.omitted.wrapping_add(1),
+        }
+    }
+
+    /// The buffer of a channel and publisher, if this node takes part in one of its slots.
+    pub fn find(&self, etag: Etag, publisher: TxNode) -> Option<BufferId> {
+        self.by_id.get(Id::new(Priority::HARD, publisher, etag).raw()).map(BufferId)
+    }
+
+    #[inline]
+    pub(super) fn buffer(&self, at: u8) -> Option<&Buffer> {
+        self.buffers.get(usize::from(at))?.as_ref()
+    }
+
+    #[inline]
+    pub(super) fn buffer_mut(&mut self, at: u8) -> Option<&mut Buffer> {
+        self.buffers.get_mut(usize::from(at))?.as_mut()
+    }
+}
+
+impl Buffer {
+    const fn new(id: Id) -> Self {
+        Self {
+            id,
+            role: Role { publishes: false, subscribes: false },
+            outgoing: None,
+            in_mailbox: Payload::EMPTY,
+            arriving: None,
+            visible: None,
+            window: Duration::from_ticks(0),
+            counters: Counters::NONE,
+        }
+    }
+
+    /// Takes the fresh event, to be sent.
+    pub(super) fn load(&mut self) -> Frame {
+        if let Some(payload) = self.outgoing.take() {
+            self.in_mailbox = payload;
+        }
+        Frame::new(self.id, self.in_mailbox)
+    }
+
+    #[inline]
+    fn arrived(&mut self, payload: Payload, received_at: Instant) {
+        match self.arriving {
+            // A retransmission: some node had rejected the first copy.
+            Some((_, first)) if received_at.saturating_since(first) <= self.window => {
+                self.counters.duplicates = self.counters.duplicates.wrapping_add(1);
+            }
+            stale => {
+                if stale.is_some() {
+                    self.counters.untimely = self.counters.untimely.wrapping_add(1);
+                }
+                self.arriving = Some((payload, received_at));
+            }
+        }
+    }
+
+    /// Makes what arrived since `opened` visible. Says whether there was anything.
+    pub(super) fn deliver(&mut self, opened: Instant, delivered_at: GlobalInstant) -> bool {
+        let Some((payload, received_at)) = self.arriving.take() else { return false };
+        if received_at < opened {
+            self.counters.untimely = self.counters.untimely.wrapping_add(1);
+            return false;
+        }
+        let delivery = Delivery {
+            etag: self.id.etag(),
+            publisher: self.id.tx_node(),
+            payload,
+            received_at,
+            delivered_at,
+        };
+        if self.visible.replace(delivery).is_some() {
+            self.counters.overrun = self.counters.overrun.wrapping_add(1);
+        }
+        self.counters.delivered = self.counters.delivered.wrapping_add(1);
+        true
+    }
+}
+
+/// The only mailbox that the time-triggered half uses.
+pub(super) const MAILBOX: Mailbox = Mailbox::Hard;

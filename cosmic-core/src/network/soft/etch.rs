@@ -1,0 +1,272 @@
+//! The event-triggered channel handler: earliest deadline first by the priority field.
+
+use super::lane::{Attended, Entry, Exception, Lane, Outgoing, Tag};
+use crate::can::{BitRate, Command, Frame, Id, Mailbox, Outcome, Payload, Priority};
+use crate::time::{Duration, Instant};
+
+/// How the remaining time until a deadline becomes a priority.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct PriorityMap {
+    /// Δt_p in nanoseconds; fits 32 bits, so that the division is one instruction.
+    step: u32,
+}
+
+impl PriorityMap {
+    /// The longest Δt_p, so that 249 steps fit in 32 bits of nanoseconds.
+    pub const LONGEST_STEP: Duration = Duration::from_millis(17);
+
+    /// A map with the step Δt_p; `None` if it is zero or longer than [`PriorityMap::LONGEST_STEP`].
+    pub const fn new(step: Duration) -> Option<Self> {
+        if step.is_zero() || step.as_ticks() > Self::LONGEST_STEP.as_ticks() {
+            return None;
+        }
+        Some(Self { step: step.as_ticks() as u32 })
+    }
+
+    /// Δt_p of one longest frame, which is as fine as it is of use: frames cannot be pre-empted.
+    pub const fn of(bit_rate: BitRate) -> Self {
+        Self { step: bit_rate.longest_frame(Payload::MAX_LEN).as_ticks() as u32 }
+    }
+
+    /// Δt_p.
+    pub const fn step(self) -> Duration {
+        Duration::from_ticks(self.step as u64)
+    }
+
+    /// The priority of an event with this much time left: 1 + remaining / Δt_p, at most 249.
+    #[inline]
+    pub const fn priority(self, remaining: Duration) -> Priority {
+        let least = Priority::SOFT_LEAST_URGENT.get() as u32 - 1;
+        let remaining = remaining.as_ticks();
+        if remaining >= least as u64 * self.step as u64 {
+            return Priority::SOFT_LEAST_URGENT;
+        }
+        Priority::new(1 + (remaining as u32 / self.step) as u8)
+    }
+
+    /// When an event with this deadline must leave this priority for the next more urgent one.
+    const fn promotion(self, deadline: Instant, priority: Priority) -> Instant {
+        let steps = (priority.get() as u64).saturating_sub(1);
+        if steps == 0 {
+            return Instant::FAR_FUTURE;
+        }
+        // At exactly `steps` steps before the deadline the quotient is still `steps`.
+        deadline.saturating_sub(Duration::from_ticks(steps * self.step as u64 - 1))
+    }
+}
+
+/// What the owner of an [`Etch`] is to do next.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[must_use]
+pub enum Step {
+    /// Have the driver carry this out, then poll again.
+    Command(Command),
+    /// Tell the publisher, then poll again.
+    Exception(Exception),
+    /// Nothing is to be done before this instant, if nothing is submitted and no outcome comes.
+    SleepUntil(Instant),
+}
+
+/// The queue has no room for the event; it has been counted.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Full;
+
+/// What went through the path. All counts wrap.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct EtchCounters {
+    /// Frames sent.
+    pub sent: u32,
+    /// Events not accepted because the queue was full.
+    pub refused: u32,
+    /// Deadlines missed.
+    pub missed: u32,
+    /// Events discarded because they had expired.
+    pub expired: u32,
+    /// Frames withdrawn to be sent later or under a more urgent identifier.
+    pub withdrawn: u32,
+}
+
+/// The soft and non real-time path of a node, with room for `SOFT` and `NRT` events.
+///
+/// Calls may come in any order: [`submit_soft`](Self::submit_soft) and
+/// [`submit_non_real_time`](Self::submit_non_real_time) from the event layer,
+/// [`on_outcome`](Self::on_outcome) for every `Load` that was commanded. After each of them, and at the
+/// instant it named, [`poll`](Self::poll) until it says [`Step::SleepUntil`].
+#[derive(Clone, Debug)]
+pub struct Etch<const SOFT: usize, const NRT: usize> {
+    map: PriorityMap,
+    soft: Lane<SOFT>,
+    non_real_time: Lane<NRT>,
+    /// The priority under which the soft frame was loaded ends here.
+    promotion_at: Instant,
+    counters: EtchCounters,
+}
+
+impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
+    /// A path with empty queues and empty mailboxes.
+    pub const fn new(map: PriorityMap) -> Self {
+        Self {
+            map,
+            soft: Lane::new(Mailbox::Soft),
+            non_real_time: Lane::new(Mailbox::NonRealTime),
+            promotion_at: Instant::FAR_FUTURE,
+            counters: EtchCounters { sent: 0, refused: 0, missed: 0, expired: 0, withdrawn: 0 },
+        }
+    }
+
+    /// What went through.
+    pub const fn counters(&self) -> EtchCounters {
+        self.counters
+    }
+
+    /// Soft and non real-time events that have not been sent.
+    pub fn len(&self) -> usize {
+        self.soft.len() + self.non_real_time.len()
+    }
+
+    /// Has everything been sent?
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Takes a soft real-time event. On an idle node the command to load it comes back at once; it is
+    /// O(1) then and O(log SOFT) otherwise.
+    ///
+    /// # Errors
+    /// [`Full`]; the event is counted and not sent.
+    #[inline]
+    pub fn submit_soft(&mut self, now: Instant, event: Outgoing) -> Result<Option<Command>, Full> {
+        self.submit_soft_entry(now, Entry { outgoing: event, reported: false })
+    }
+
+    /// As [`submit_soft`](Self::submit_soft), with the most urgent priority from the start and nobody to
+    /// be told of a missed deadline: for clock synchronisation, which load must not starve.
+    ///
+    /// # Errors
+    /// [`Full`]; the frame is counted and not sent.
+    pub fn submit_urgent(&mut self, now: Instant, tag: Tag, frame: Frame) -> Result<Option<Command>, Full> {
+        let outgoing = Outgoing { tag, frame, deadline: now, expires_at: Instant::FAR_FUTURE };
+        self.submit_soft_entry(now, Entry { outgoing, reported: true })
+    }
+
+    #[inline]
+    fn submit_soft_entry(&mut self, now: Instant, entry: Entry) -> Result<Option<Command>, Full> {
+        let key = entry.outgoing.deadline.since_epoch().as_ticks();
+        if self.soft.is_idle() && now < entry.outgoing.expires_at {
+            self.soft.load_directly(key, entry);
+            return Ok(Some(self.load_soft(now, &entry.outgoing)));
+        }
+        self.soft.push(key, entry).map(|()| None).map_err(|_| self.refuse())
+    }
+
+    /// Takes a non real-time event; the priority of its frame says how important it is. As
+    /// [`submit_soft`](Self::submit_soft) otherwise. An event without a deadline has
+    /// [`Instant::FAR_FUTURE`].
+    ///
+    /// # Errors
+    /// [`Full`]; the event is counted and not sent.
+    #[inline]
+    pub fn submit_non_real_time(&mut self, now: Instant, event: Outgoing) -> Result<Option<Command>, Full> {
+        let entry = Entry { outgoing: event, reported: false };
+        let key = u64::from(event.frame.id.priority().get());
+        if self.non_real_time.is_idle() && now < event.expires_at {
+            self.non_real_time.load_directly(key, entry);
+            return Ok(Some(Command::Load(Mailbox::NonRealTime, event.frame)));
+        }
+        self.non_real_time.push(key, entry).map(|()| None).map_err(|_| self.refuse())
+    }
+
+    /// Gives up all events of a source that have not been sent. O(SOFT² + NRT²); at most one command for
+    /// each mailbox.
+    pub fn recall(&mut self, tag: Tag) -> [Option<Command>; 2] {
+        [self.soft.recall(tag), self.non_real_time.recall(tag)]
+    }
+
+    /// A mailbox of this path has become empty. Returns what the publisher must be told.
+    pub fn on_outcome(&mut self, mailbox: Mailbox, outcome: Outcome, at: Instant) -> Option<Exception> {
+        match outcome {
+            Outcome::Sent => self.counters.sent = self.counters.sent.wrapping_add(1),
+            Outcome::Withdrawn => self.counters.withdrawn = self.counters.withdrawn.wrapping_add(1),
+        }
+        let exception = match mailbox {
+            Mailbox::Hard => None,
+            Mailbox::Soft => self.soft.on_outcome(outcome, at),
+            Mailbox::NonRealTime => self.non_real_time.on_outcome(outcome, at),
+        };
+        exception.inspect(|exception| self.count(exception))
+    }
+
+    /// What is to be done now: at most one withdrawal, load or report a call, O(SOFT + NRT).
+    pub fn poll(&mut self, now: Instant) -> Step {
+        if let Some(attended) = self.attend(now) {
+            return match attended {
+                Attended::Command(command) => Step::Command(command),
+                Attended::Exception(exception) => {
+                    self.count(&exception);
+                    Step::Exception(exception)
+                }
+            };
+        }
+        if let Some(outgoing) = self.soft.load() {
+            return Step::Command(self.load_soft(now, &outgoing));
+        }
+        if let Some(outgoing) = self.non_real_time.load() {
+            return Step::Command(Command::Load(Mailbox::NonRealTime, outgoing.frame));
+        }
+        let promote = self.soft.loaded().is_some() && now >= self.promotion_at;
+        if promote || self.soft.is_overtaken() {
+            if let Some(command) = self.soft.withdraw() {
+                return Step::Command(command);
+            }
+        }
+        if self.non_real_time.is_overtaken() {
+            if let Some(command) = self.non_real_time.withdraw() {
+                return Step::Command(command);
+            }
+        }
+        Step::SleepUntil(self.next_wakeup())
+    }
+
+    fn attend(&mut self, now: Instant) -> Option<Attended> {
+        if self.soft.needs_attention(now) {
+            if let Some(attended) = self.soft.attend(now) {
+                return Some(attended);
+            }
+        }
+        if self.non_real_time.needs_attention(now) { self.non_real_time.attend(now) } else { None }
+    }
+
+    fn next_wakeup(&self) -> Instant {
+        let promotion = match self.soft.loaded() {
+            Some(_) => self.promotion_at,
+            None => Instant::FAR_FUTURE,
+        };
+        promotion.min(self.soft.next_attention()).min(self.non_real_time.next_attention())
+    }
+
+    #[inline]
+    fn load_soft(&mut self, now: Instant, outgoing: &Outgoing) -> Command {
+        let priority = self.map.priority(outgoing.deadline.saturating_since(now));
+        self.promotion_at = self.map.promotion(outgoing.deadline, priority);
+        let id = outgoing.frame.id;
+        let id = Id::new(priority, id.tx_node(), id.etag());
+        Command::Load(Mailbox::Soft, Frame::new(id, outgoing.frame.payload))
+    }
+
+    fn refuse(&mut self) -> Full {
+        self.counters.refused = self.counters.refused.wrapping_add(1);
+        Full
+    }
+
+    fn count(&mut self, exception: &Exception) {
+        let count = match exception.kind {
+            super::ExceptionKind::MissedDeadline => &mut self.counters.missed,
+            super::ExceptionKind::Expired => &mut self.counters.expired,
+        };
+        *count = count.wrapping_add(1);
+    }
+}

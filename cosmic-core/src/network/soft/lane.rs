@@ -1,0 +1,258 @@
+//! One class of events on its way to the bus: a queue and the mailbox that its head is in.
+
+use super::queue::Queue;
+use crate::can::{Command, Frame, Mailbox, Outcome};
+use crate::time::Instant;
+
+/// What the owner calls the source of a frame: its number for a channel, or a part of the protocol.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Tag(pub u8);
+
+/// An event on its way to the bus.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Outgoing {
+    /// Where it comes from.
+    pub tag: Tag,
+    /// The frame. Its priority stands for a non real-time event and is replaced for a soft one.
+    pub frame: Frame,
+    /// It should have been sent by now. Later is an exception, and it is still sent.
+    pub deadline: Instant,
+    /// It is of no use any more. What is still not sent then is discarded, with an exception.
+    pub expires_at: Instant,
+}
+
+/// Something went wrong with an event that was handed to the path.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Exception {
+    /// Where the event comes from.
+    pub tag: Tag,
+    /// What went wrong.
+    pub kind: ExceptionKind,
+}
+
+/// What can go wrong with an event on its way to the bus.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ExceptionKind {
+    /// It has not been sent by its deadline; it is sent later.
+    MissedDeadline,
+    /// It expired before it was sent, and has been discarded.
+    Expired,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Entry {
+    pub(super) outgoing: Outgoing,
+    /// The missed deadline has been reported, or nobody wants to hear of it.
+    pub(super) reported: bool,
+}
+
+impl Entry {
+    fn attention_at(&self) -> Instant {
+        if self.reported { self.outgoing.expires_at } else { self.outgoing.deadline }
+    }
+
+    /// What has become of it by now, if anything. The caller discards what has expired.
+    fn examine(&mut self, now: Instant) -> Option<ExceptionKind> {
+        if now >= self.outgoing.expires_at {
+            return Some(ExceptionKind::Expired);
+        }
+        if !self.reported && now >= self.outgoing.deadline {
+            self.reported = true;
+            return Some(ExceptionKind::MissedDeadline);
+        }
+        None
+    }
+
+    fn exception(&self, kind: ExceptionKind) -> Exception {
+        Exception { tag: self.outgoing.tag, kind }
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Loaded {
+    key: u64,
+    order: u32,
+    entry: Entry,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Content {
+    Empty,
+    Loaded(Loaded),
+    /// A withdrawal has been requested. What comes back goes to the queue, or nowhere.
+    Withdrawing(Loaded, AndThen),
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum AndThen {
+    Requeue,
+    Expire,
+    Forget,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Lane<const N: usize> {
+    mailbox: Mailbox,
+    queue: Queue<Entry, N>,
+    content: Content,
+    /// No entry in the queue needs attention before this.
+    attention_at: Instant,
+}
+
+impl<const N: usize> Lane<N> {
+    pub(super) const fn new(mailbox: Mailbox) -> Self {
+        Self { mailbox, queue: Queue::new(), content: Content::Empty, attention_at: Instant::FAR_FUTURE }
+    }
+
+    /// Frames that wait or are in the mailbox.
+    pub(super) fn len(&self) -> usize {
+        self.queue.len() + usize::from(!matches!(self.content, Content::Empty))
+    }
+
+    /// Is the mailbox free and nothing before a new event?
+    #[inline]
+    pub(super) fn is_idle(&self) -> bool {
+        self.queue.is_empty() && matches!(self.content, Content::Empty)
+    }
+
+    /// The frame in the mailbox comes back to the queue if it is withdrawn, so it keeps its place there.
+    pub(super) fn push(&mut self, key: u64, entry: Entry) -> Result<(), Entry> {
+        if self.len() >= N {
+            return Err(entry);
+        }
+        self.attention_at = self.attention_at.min(entry.attention_at());
+        self.queue.push(key, entry)
+    }
+
+    /// Puts an entry into the mailbox past the queue; only when the lane [is idle](Self::is_idle).
+    #[inline]
+    pub(super) fn load_directly(&mut self, key: u64, entry: Entry) {
+        self.content = Content::Loaded(Loaded { key, order: 0, entry });
+    }
+
+    /// Loads the head, if the mailbox is free.
+    pub(super) fn load(&mut self) -> Option<Outgoing> {
+        if !matches!(self.content, Content::Empty) {
+            return None;
+        }
+        let (key, order, entry) = self.queue.pop()?;
+        self.content = Content::Loaded(Loaded { key, order, entry });
+        Some(entry.outgoing)
+    }
+
+    /// Does an event wait that goes before the one in the mailbox?
+    pub(super) fn is_overtaken(&self) -> bool {
+        match (&self.content, self.queue.first_key()) {
+            (Content::Loaded(loaded), Some(first)) => first < loaded.key,
+            _ => false,
+        }
+    }
+
+    /// What is in the mailbox and not being withdrawn.
+    pub(super) fn loaded(&self) -> Option<&Outgoing> {
+        match &self.content {
+            Content::Loaded(loaded) => Some(&loaded.entry.outgoing),
+            _ => None,
+        }
+    }
+
+    /// Asks for the frame in the mailbox, to send it later or under another identifier.
+    pub(super) fn withdraw(&mut self) -> Option<Command> {
+        self.withdraw_and(AndThen::Requeue)
+    }
+
+    fn withdraw_and(&mut self, then: AndThen) -> Option<Command> {
+        let Content::Loaded(loaded) = self.content else { return None };
+        self.content = Content::Withdrawing(loaded, then);
+        Some(Command::Withdraw(self.mailbox))
+    }
+
+    /// Removes the events of a source that have not been sent: from the queue at once, from the mailbox
+    /// by the command that is returned. O(N²), and O(N) for one event.
+    pub(super) fn recall(&mut self, tag: Tag) -> Option<Command> {
+        while self.queue.take_where(|entry| entry.outgoing.tag == tag).is_some() {}
+        match self.content {
+            Content::Loaded(loaded) if loaded.entry.outgoing.tag == tag => self.withdraw_and(AndThen::Forget),
+            Content::Withdrawing(loaded, _) if loaded.entry.outgoing.tag == tag => {
+                self.content = Content::Withdrawing(loaded, AndThen::Forget);
+                None
+            }
+            _ => None,
+        }
+    }
+
+    /// The mailbox has become empty.
+    pub(super) fn on_outcome(&mut self, outcome: Outcome, at: Instant) -> Option<Exception> {
+        let (loaded, then) = match self.content {
+            Content::Empty => return None,
+            Content::Loaded(loaded) => (loaded, AndThen::Requeue),
+            Content::Withdrawing(loaded, then) => (loaded, then),
+        };
+        self.content = Content::Empty;
+        match (outcome, then) {
+            (Outcome::Sent, _) => {
+                let late = !loaded.entry.reported && at > loaded.entry.outgoing.deadline;
+                late.then(|| loaded.entry.exception(ExceptionKind::MissedDeadline))
+            }
+            (Outcome::Withdrawn, AndThen::Requeue) => {
+                self.attention_at = self.attention_at.min(loaded.entry.attention_at());
+                // There is room: `push` counts the mailbox.
+                let _ = self.queue.put_back(loaded.key, loaded.order, loaded.entry);
+                None
+            }
+            (Outcome::Withdrawn, AndThen::Expire) => Some(loaded.entry.exception(ExceptionKind::Expired)),
+            (Outcome::Withdrawn, AndThen::Forget) => None,
+        }
+    }
+
+    /// Is anything to be reported or discarded by now?
+    pub(super) fn needs_attention(&self, now: Instant) -> bool {
+        now >= self.next_attention()
+    }
+
+    pub(super) fn next_attention(&self) -> Instant {
+        match &self.content {
+            Content::Loaded(loaded) => self.attention_at.min(loaded.entry.attention_at()),
+            _ => self.attention_at,
+        }
+    }
+
+    /// Reports or discards one event: O(N). What is discarded from the mailbox is reported when it has
+    /// left it.
+    pub(super) fn attend(&mut self, now: Instant) -> Option<Attended> {
+        if let Content::Loaded(loaded) = &mut self.content {
+            match loaded.entry.examine(now) {
+                Some(ExceptionKind::Expired) => {
+                    return self.withdraw_and(AndThen::Expire).map(Attended::Command);
+                }
+                Some(kind) => return Some(Attended::Exception(loaded.entry.exception(kind))),
+                None => {}
+            }
+        }
+        if now < self.attention_at {
+            return None;
+        }
+        let expired = |entry: &Entry| now >= entry.outgoing.expires_at;
+        if let Some(entry) = self.queue.take_where(expired) {
+            return Some(Attended::Exception(entry.exception(ExceptionKind::Expired)));
+        }
+        let mut next = Instant::FAR_FUTURE;
+        for entry in self.queue.iter_mut() {
+            if let Some(kind) = entry.examine(now) {
+                return Some(Attended::Exception(entry.exception(kind)));
+            }
+            next = next.min(entry.attention_at());
+        }
+        self.attention_at = next;
+        None
+    }
+}
+
+pub(super) enum Attended {
+    Command(Command),
+    Exception(Exception),
+}
