@@ -13,7 +13,7 @@ mod app {
 
     /// No wake-up may be later than this: interrupt, timer queue and dispatch are some hundred
     /// instructions of 8 ns each.
-    const LATEST: Duration = Duration::from_micros(20);
+    const LATEST: Duration = Duration::from_micros(50);
 
     /// That a task woke up.
     pub struct Wakeup {
