@@ -72,6 +72,16 @@ impl Etag {
     pub const GET_ETAG: Self = Self(2);
     /// Binding reply.
     pub const SUPPLY_ETAG: Self = Self(4);
+    /// The broker has no TxNode left for a node UID.
+    pub const CONFIGURATION_REFUSAL: Self = Self(5);
+    /// A node gives its TxNode back.
+    pub const RELEASE: Self = Self(6);
+    /// A node claims or defends its TxNode by its UID.
+    pub const NODE_IDENTITY: Self = Self(7);
+    /// Asks every node for its identity, its bindings and its interest.
+    pub const PROBE: Self = Self(8);
+    /// Heartbeat of the active broker.
+    pub const BROKER_STATUS: Self = Self(9);
     /// Clock synchronisation.
     pub const SYNC: Self = Self(16);
     /// The master's own send time of the preceding sync frame.
