@@ -1,1 +1,92 @@
-fn main() {}
+//! The tasks of this repository: `cargo xtask --help`.
+//!
+//! Everything that CI does is one of these, and runs the same on a desk.
+
+mod build;
+mod ci;
+mod demo;
+mod qemu;
+mod run;
+mod setup;
+mod size;
+mod suite;
+mod target;
+mod workspace;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use workspace::Workspace;
+
+/// Build, test and demonstrate COSMIC.
+///
+/// `demo` and `test` install what is missing before they start, where they may; `setup` alone does just
+/// that.
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask", max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    task: Task,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// Find or install the compiler's Cortex-M target, QEMU, cmake and libclang.
+    Setup,
+    /// Build the firmware images and print their sizes.
+    Build(build::Options),
+    /// Run the firmware on an emulated cluster and show what each channel did.
+    Demo(demo::Options),
+    /// Run all tests: on the host, in the emulated cluster, in QEMU.
+    Test(suite::Options),
+    /// Print flash and RAM of each image, and the share of the middleware.
+    Size(size::Options),
+    /// Everything that must hold before a change goes in.
+    Ci,
+}
+
+fn main() -> ExitCode {
+    let task = Arguments::parse().task;
+    match Workspace::find().and_then(|workspace| perform(task, &workspace)) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn perform(task: Task, workspace: &Workspace) -> anyhow::Result<ExitCode> {
+    match task {
+        Task::Setup => {
+            let way = setup::prepare(&setup::EVERYTHING)?;
+            println!("All there. The Cortex-M target comes from {way}.");
+        }
+        Task::Build(options) => build::task(workspace, &options)?,
+        Task::Demo(options) => return demo::task(workspace, &options),
+        Task::Test(options) => return suite::task(workspace, &options),
+        Task::Size(options) => size::task(workspace, &options)?,
+        Task::Ci => return ci::task(workspace),
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn the_demo_gets_its_arguments_unchanged() {
+        let arguments = ["cargo xtask", "demo", "--seconds", "5", "--help"];
+        let Task::Demo(options) = Arguments::try_parse_from(arguments).unwrap().task else {
+            panic!("another task");
+        };
+        assert_eq!(options.arguments, ["--seconds", "5", "--help"]);
+    }
+}

@@ -1,0 +1,95 @@
+//! Everything that must hold before a change goes in.
+//!
+//! The steps share their build products: flags and profiles are the same in all of them, and the CPU
+//! emulator is compiled in one profile only.
+
+use std::process::{Command, ExitCode};
+
+use anyhow::{Result, bail};
+
+use crate::build;
+use crate::demo;
+use crate::qemu;
+use crate::run::{self, step};
+use crate::setup;
+use crate::size;
+use crate::suite::{self, Tally};
+use crate::target::TargetWay;
+use crate::workspace::Workspace;
+
+/// Carries out all steps, also after one has failed. The last line is `N passed, N failed`: tests of all
+/// kinds and the demo, and one more failure for each other step that failed.
+pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
+    let way = setup::prepare(&setup::EVERYTHING)?;
+    let mut tally = Tally::default();
+    tally.add(check("formatting", workspace.cargo().args(["fmt", "--all", "--check"])));
+    tally.add(clippy(workspace, &way));
+    tally.add(documentation(workspace));
+    tally.add(suite::host(workspace));
+    tally.add(no_warnings(workspace, &way));
+    tally.add(sizes(workspace, &way));
+    tally.add(qemu::test(workspace, &way));
+    tally.add(suite::emulated(workspace, &way));
+    tally.add(short_demo(workspace));
+    Ok(tally.conclude())
+}
+
+/// A step that passes or fails, and is no test.
+fn check(name: &str, command: &mut Command) -> Result<Tally> {
+    step(name, || run::run(command))?;
+    Ok(Tally::default())
+}
+
+fn clippy(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
+    let mut host = workspace.cargo();
+    host.args(["clippy", "--all-targets", "--", "--deny", "warnings"]);
+    let mut emulator = workspace.cargo();
+    emulator.args(["clippy", "--release", "--all-targets", "--package", demo::PACKAGE]);
+    emulator.args(["--", "--deny", "warnings"]);
+    let mut tally = Tally::default();
+    tally.add(check("clippy on the host", &mut host));
+    tally.add(check("clippy on the emulated cluster", &mut emulator));
+    // Debian has no clippy for its compiler; there the compiler's own warnings must do.
+    if *way == TargetWay::Rustup {
+        for package in ["firmware", qemu::PACKAGE] {
+            let mut target = way.cargo(workspace, "clippy");
+            target.args(["--package", "boards", "--package", package, "--", "--deny", "warnings"]);
+            tally.add(check(&format!("clippy on {package}"), &mut target));
+        }
+    }
+    Ok(tally)
+}
+
+fn documentation(workspace: &Workspace) -> Result<Tally> {
+    let mut command = workspace.cargo();
+    command.args(["doc", "--no-deps"]).env("RUSTDOCFLAGS", "--deny warnings");
+    check("building the documentation", &mut command)
+}
+
+/// Warnings about code for the target are errors here.
+fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
+    let mut warnings = build::firmware(workspace, way, &[])?.warnings;
+    warnings += build::images(workspace, way, qemu::PACKAGE, &[])?.warnings;
+    if warnings > 0 {
+        bail!("{warnings} warnings about code for the target; see above");
+    }
+    Ok(Tally::default())
+}
+
+fn sizes(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
+    let sizes = size::measure_all(&build::firmware(workspace, way, &[])?.images)?;
+    print!("{}", size::table(&sizes));
+    size::check(workspace, &sizes)?;
+    Ok(Tally::default())
+}
+
+/// A demo of a few virtual seconds, under load and with errors. It checks itself.
+fn short_demo(workspace: &Workspace) -> Result<Tally> {
+    let directory = workspace.target_dir().join("demo-of-ci");
+    let mut arguments: Vec<String> = DEMO.map(str::to_owned).into();
+    arguments.extend(["--out".to_owned(), directory.display().to_string()]);
+    let code = demo::run(workspace, &arguments)?;
+    Ok(Tally { passed: usize::from(code == 0), failed: usize::from(code != 0) })
+}
+
+const DEMO: [&str; 8] = ["--seconds", "2", "--seed", "1", "--load", "95", "--errors", "0.001"];

@@ -1,0 +1,276 @@
+//! Finds what the tasks need, and installs what is missing where it may.
+//!
+//! It may install with `rustup`, and with `apt-get` as root or by a `sudo` that asks for no password.
+//! Elsewhere it says what to type. When everything is there it looks at a few files only.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::{env, fs};
+
+use anyhow::{Result, bail};
+
+use crate::run::{self, step};
+use crate::target::{self, Choice, TRIPLE, TargetWay};
+
+/// A tool that is no part of the Rust toolchain.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Tool {
+    /// Runs the on-target tests.
+    Qemu,
+    /// Builds the CPU emulator of `cosmic-emu`.
+    Cmake,
+    /// What cmake's build files are for.
+    Make,
+    /// Compiles it.
+    Compiler,
+    /// Reads its header files.
+    Libclang,
+}
+
+/// What the emulated cluster is built with.
+pub(crate) const EMULATOR: [Tool; 4] = [Tool::Cmake, Tool::Make, Tool::Compiler, Tool::Libclang];
+
+/// All tools.
+pub(crate) const EVERYTHING: [Tool; 5] =
+    [Tool::Qemu, Tool::Cmake, Tool::Make, Tool::Compiler, Tool::Libclang];
+
+/// Finds or installs the target and the tools, and says how to compile for the target.
+///
+/// # Errors
+/// What is missing and cannot be installed here, and what to type.
+pub(crate) fn prepare(tools: &[Tool]) -> Result<TargetWay> {
+    let missing: Vec<Tool> = tools.iter().copied().filter(|tool| !tool.is_there()).collect();
+    if !missing.is_empty() {
+        let packages: Vec<&str> = missing.iter().map(|tool| tool.package()).collect();
+        let names: Vec<String> = missing.iter().map(Tool::to_string).collect();
+        step(&format!("installing {}", names.join(", ")), || install(&packages))?;
+        if let Some(tool) = missing.iter().find(|tool| !tool.is_there()) {
+            bail!("{tool} is not found although Debian's package `{}` is installed", tool.package());
+        }
+    }
+    target(Choice::from_environment()?)
+}
+
+/// Finds or installs the target.
+fn target(choice: Choice) -> Result<TargetWay> {
+    if let Some(way) = TargetWay::find(choice) {
+        return Ok(way);
+    }
+    if choice.allows_rustup() && target::find_program("rustup").is_some() {
+        let add = || run::run(Command::new("rustup").args(["target", "add", TRIPLE]));
+        match step(&format!("asking rustup for {TRIPLE}"), add) {
+            Ok(()) => {
+                if let Some(way) = TargetWay::find(choice) {
+                    return Ok(way);
+                }
+            }
+            Err(error) if !choice.allows_debian() => return Err(error),
+            Err(_) => eprintln!("rustup cannot get it; going on to Debian's packages"),
+        }
+    }
+    if choice.allows_debian() {
+        step("installing Debian's compiler", || install(&DEBIAN_PACKAGES))?;
+    }
+    match TargetWay::find(choice) {
+        Some(way) => Ok(way),
+        None => bail!(
+            "there is no way to compile for {TRIPLE}: type `rustup target add {TRIPLE}`, or install \
+             Debian's `{}` of at least the version in Cargo.toml",
+            DEBIAN_PACKAGES.join(" ")
+        ),
+    }
+}
+
+impl Tool {
+    fn package(self) -> &'static str {
+        match self {
+            Self::Qemu => "qemu-system-arm",
+            Self::Cmake => "cmake",
+            Self::Make => "make",
+            Self::Compiler => "g++",
+            Self::Libclang => "libclang-dev",
+        }
+    }
+
+    fn is_there(&self) -> bool {
+        match self {
+            Self::Qemu => target::find_program("qemu-system-arm").is_some(),
+            Self::Cmake => target::find_program("cmake").is_some(),
+            Self::Make => target::find_program("make").is_some(),
+            Self::Compiler => target::find_program("c++").is_some(),
+            Self::Libclang => env::var_os("LIBCLANG_PATH").is_some() || has_libclang(&library_directories()),
+        }
+    }
+}
+
+impl fmt::Display for Tool {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Qemu => "QEMU",
+            Self::Cmake => "cmake",
+            Self::Make => "make",
+            Self::Compiler => "a C and C++ compiler",
+            Self::Libclang => "libclang",
+        })
+    }
+}
+
+/// Where libclang may stand: each LLVM of Debian's has a directory of its own.
+fn library_directories() -> Vec<PathBuf> {
+    let mut directories: Vec<PathBuf> =
+        ["/usr/lib", "/usr/lib64", "/usr/local/lib"].into_iter().map(PathBuf::from).collect();
+    let entries = fs::read_dir("/usr/lib").into_iter().flatten().flatten();
+    directories.extend(entries.map(|entry| entry.path().join("lib")));
+    directories
+}
+
+/// Is libclang in one of the directories, and beside it the headers that come with a compiler?
+fn has_libclang(directories: &[PathBuf]) -> bool {
+    directories.iter().any(|directory| has_library(directory) && directory.join("clang").is_dir())
+}
+
+fn has_library(directory: &Path) -> bool {
+    let entries = fs::read_dir(directory).into_iter().flatten().flatten();
+    entries.into_iter().any(|entry| is_libclang(&entry.file_name().to_string_lossy()))
+}
+
+/// `libclang.so`, `libclang-14.so.1` and the like, but not `libclang-cpp.so`.
+fn is_libclang(name: &str) -> bool {
+    let Some(rest) = name.strip_prefix("libclang") else { return false };
+    let version = rest.strip_prefix('-').unwrap_or(rest);
+    let version = version.trim_start_matches(|c: char| c.is_ascii_digit() || c == '.');
+    let is_versioned = rest.starts_with(".so") || rest.starts_with('-') && version.starts_with("so");
+    is_versioned || rest.starts_with(".dylib")
+}
+
+/// How packages can be installed here.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Installer {
+    /// As root.
+    Root,
+    /// By `sudo`, which asks for no password.
+    Sudo,
+    /// Only by the user.
+    Nobody,
+    /// This is no Debian.
+    NoApt,
+}
+
+impl Installer {
+    fn find() -> Self {
+        if target::find_program("apt-get").is_none() {
+            return Self::NoApt;
+        }
+        let id = Command::new("id").arg("-u").output();
+        if id.is_ok_and(|output| output.stdout.trim_ascii() == b"0") {
+            return Self::Root;
+        }
+        let sudo = Command::new("sudo")
+            .args(["--non-interactive", "true"])
+            .stdin(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
+        if sudo.is_ok_and(|status| status.success()) { Self::Sudo } else { Self::Nobody }
+    }
+
+    /// A call of `apt-get`.
+    fn apt_get(self, arguments: &[&str]) -> Command {
+        let mut command = match self {
+            Self::Sudo => {
+                let mut command = Command::new("sudo");
+                command.args(["--non-interactive", "DEBIAN_FRONTEND=noninteractive", "apt-get"]);
+                command
+            }
+            _ => Command::new("apt-get"),
+        };
+        command.env("DEBIAN_FRONTEND", "noninteractive").args(arguments);
+        command
+    }
+}
+
+/// Installs Debian packages, or says what to type.
+fn install(packages: &[&str]) -> Result<()> {
+    let installer = Installer::find();
+    if let Some(advice) = advice(installer, packages) {
+        bail!(advice);
+    }
+    let mut words = vec!["install", "--yes", "--no-install-recommends"];
+    words.extend_from_slice(packages);
+    // The lists of a fresh machine are empty, and those of an old one name files that are gone.
+    let listed = packages.iter().all(|package| is_listed(package));
+    if listed && run::run(&mut installer.apt_get(&words)).is_ok() {
+        return Ok(());
+    }
+    run::run(&mut installer.apt_get(&["update"]))?;
+    run::run(&mut installer.apt_get(&words))
+}
+
+/// What to type where nothing may be installed.
+fn advice(installer: Installer, packages: &[&str]) -> Option<String> {
+    let packages = packages.join(" ");
+    match installer {
+        Installer::Root | Installer::Sudo => None,
+        Installer::Nobody => Some(format!(
+            "only root may install packages; type this, then call again: \
+             sudo apt-get update && sudo apt-get install --no-install-recommends {packages}"
+        )),
+        Installer::NoApt => Some(format!(
+            "there is no apt-get here; install what Debian calls `{packages}` in this system's own way"
+        )),
+    }
+}
+
+/// Do the package lists know it?
+fn is_listed(package: &str) -> bool {
+    let shown = Command::new("apt-cache").args(["show", package]).stderr(Stdio::null()).output();
+    shown.is_ok_and(|output| output.status.success() && !output.stdout.is_empty())
+}
+
+/// A compiler, its library's source, and a linker.
+const DEBIAN_PACKAGES: [&str; 3] = ["rustc-web", "rust-web-src", "lld"];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn libclang_is_told_from_its_relatives() {
+        for name in ["libclang.so", "libclang.so.1", "libclang-14.so.1", "libclang-14.so.14.0.6"] {
+            assert!(is_libclang(name), "{name}");
+        }
+        for name in ["libclang-cpp.so.14", "libclangAST.a", "libLLVM.so", "libclang.a"] {
+            assert!(!is_libclang(name), "{name}");
+        }
+    }
+
+    #[test]
+    fn libclang_without_headers_does_not_count() {
+        let directory = env::temp_dir().join(format!("xtask-libclang-{}", std::process::id()));
+        fs::create_dir_all(&directory).unwrap();
+        fs::write(directory.join("libclang-14.so.1"), "").unwrap();
+        let directories = [directory.clone()];
+        assert!(!has_libclang(&directories));
+        fs::create_dir(directory.join("clang")).unwrap();
+        assert!(has_libclang(&directories));
+        fs::remove_dir_all(directory).unwrap();
+    }
+
+    #[test]
+    fn who_may_not_install_is_told_what_to_type() {
+        assert_eq!(advice(Installer::Root, &["cmake"]), None);
+        assert_eq!(advice(Installer::Sudo, &["cmake"]), None);
+        let line = advice(Installer::Nobody, &["cmake", "make"]).unwrap();
+        assert!(line.ends_with("sudo apt-get install --no-install-recommends cmake make"), "{line}");
+        assert!(!line.contains('\n'));
+        assert!(advice(Installer::NoApt, &["cmake"]).unwrap().contains("`cmake`"));
+    }
+
+    #[test]
+    fn sudo_never_asks_for_a_password() {
+        let command = Installer::Sudo.apt_get(&["update"]);
+        let expected = "sudo --non-interactive DEBIAN_FRONTEND=noninteractive apt-get update";
+        assert_eq!(run::line(&command), expected);
+        assert_eq!(run::line(&Installer::Root.apt_get(&["update"])), "apt-get update");
+    }
+}

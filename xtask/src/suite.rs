@@ -1,0 +1,154 @@
+//! Runs the tests and counts them.
+
+use std::process::ExitCode;
+
+use anyhow::{Context as _, Result};
+use clap::Args;
+
+use crate::build;
+use crate::demo;
+use crate::qemu;
+use crate::run::{self, step};
+use crate::setup;
+use crate::target::TargetWay;
+use crate::workspace::Workspace;
+
+/// Which tests to run.
+#[derive(Args)]
+pub(crate) struct Options {
+    /// Only the tests that need neither the Arm target nor an emulator.
+    #[arg(long)]
+    host: bool,
+}
+
+/// What some tests came to.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub(crate) struct Tally {
+    /// Tests that passed.
+    pub(crate) passed: usize,
+    /// Tests that failed, and steps that could not be carried out.
+    pub(crate) failed: usize,
+}
+
+impl Tally {
+    /// Adds the outcome of a step; an error counts as one failure, and is shown.
+    pub(crate) fn add(&mut self, outcome: Result<Self>) {
+        match outcome {
+            Ok(other) => {
+                self.passed += other.passed;
+                self.failed += other.failed;
+            }
+            Err(error) => {
+                eprintln!("error: {error:#}");
+                self.failed += 1;
+            }
+        }
+    }
+
+    /// The line that tools read, and the exit code.
+    pub(crate) fn conclude(self) -> ExitCode {
+        println!("{} passed, {} failed", self.passed, self.failed);
+        if self.failed == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    }
+}
+
+/// Runs all tests.
+pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode> {
+    let mut tally = Tally::default();
+    if options.host {
+        tally.add(host(workspace));
+        return Ok(tally.conclude());
+    }
+    let way = setup::prepare(&setup::EVERYTHING)?;
+    tally.add(host(workspace));
+    tally.add(emulated(workspace, &way));
+    tally.add(qemu::test(workspace, &way));
+    Ok(tally.conclude())
+}
+
+/// The tests of what runs on the host, and of the parts of `boards` that touch no hardware.
+pub(crate) fn host(workspace: &Workspace) -> Result<Tally> {
+    let mut default_members = workspace.cargo();
+    default_members.args(["test", "--no-fail-fast"]);
+    let mut boards = workspace.cargo();
+    boards.args(["test", "--no-fail-fast", "--package", "boards"]);
+    step("testing on the host", || {
+        let mut tally = cargo_test(&mut default_members)?;
+        tally.add(cargo_test(&mut boards));
+        Ok(tally)
+    })
+}
+
+/// The tests of the emulated cluster, which runs the images.
+///
+/// In the profile of the demo, so that the CPU emulator is compiled once.
+pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
+    let built = build::firmware(workspace, way, &[])?;
+    let directory = built.directory().context("the firmware has no images")?;
+    let mut command = workspace.cargo();
+    command.args(["test", "--no-fail-fast", "--release", "--package", demo::PACKAGE]);
+    command.env(IMAGES, directory);
+    step("testing the firmware in the emulated cluster", || cargo_test(&mut command))
+}
+
+/// Runs `cargo test` and counts its results.
+fn cargo_test(command: &mut std::process::Command) -> Result<Tally> {
+    let mut tally = Tally::default();
+    let status = run::lines(command, |line| {
+        println!("{line}");
+        if let Some((passed, failed)) = result_line(line) {
+            tally.passed += passed;
+            tally.failed += failed;
+        }
+    })?;
+    // Tests that do not compile, or end by a signal, print no result.
+    if !status.success() && tally.failed == 0 {
+        tally.failed = 1;
+    }
+    Ok(tally)
+}
+
+/// The counts of a line such as `test result: ok. 7 passed; 0 failed; 0 ignored; ...`.
+fn result_line(line: &str) -> Option<(usize, usize)> {
+    let (_, counts) = line.strip_prefix("test result: ")?.split_once(". ")?;
+    let mut counts = counts.split("; ");
+    let passed = counts.next()?.strip_suffix(" passed")?.parse().ok()?;
+    let failed = counts.next()?.strip_suffix(" failed")?.parse().ok()?;
+    Some((passed, failed))
+}
+
+/// Tells the tests of the emulated cluster where the images are.
+const IMAGES: &str = "COSMIC_IMAGES";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use anyhow::anyhow;
+    use std::process::Command;
+
+    #[test]
+    fn results_of_cargo_are_counted() {
+        let good = "test result: ok. 7 passed; 0 failed; 0 ignored; 0 measured; 0 filtered out";
+        assert_eq!(result_line(good), Some((7, 0)));
+        let bad = "test result: FAILED. 1 passed; 2 failed; 0 ignored; 0 measured";
+        assert_eq!(result_line(bad), Some((1, 2)));
+        assert_eq!(result_line("running 7 tests"), None);
+        assert_eq!(result_line("test result: strange"), None);
+    }
+
+    #[test]
+    fn a_failure_without_a_result_counts() {
+        let mut command = Command::new("sh");
+        command.args(["-c", "echo 'test result: ok. 3 passed; 0 failed; 0 ignored'; exit 101"]);
+        let tally = cargo_test(&mut command).unwrap();
+        assert_eq!(tally, Tally { passed: 3, failed: 1 });
+    }
+
+    #[test]
+    fn steps_that_break_count_as_failed() {
+        let mut tally = Tally { passed: 2, failed: 0 };
+        tally.add(Ok(Tally { passed: 1, failed: 1 }));
+        tally.add(Err(anyhow!("this message belongs to a test")));
+        assert_eq!(tally, Tally { passed: 3, failed: 2 });
+    }
+}
