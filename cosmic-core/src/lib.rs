@@ -15,6 +15,8 @@ extern crate std;
 
 pub mod calendar;
 pub mod can;
+pub mod event_half;
+pub mod event_layer;
 pub mod network;
 pub mod protocol;
 pub mod time;

@@ -10,6 +10,13 @@ use crate::time::{Duration, GlobalClock, GlobalInstant, Instant};
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BufferId(pub(super) u8);
 
+impl BufferId {
+    /// Less than the capacity of the buffers.
+    pub(crate) const fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+
 /// What a node has to do with a hard real-time channel.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -34,6 +41,13 @@ pub struct Delivery {
     pub received_at: Instant,
     /// The delivery instant that the calendar gives it.
     pub delivered_at: GlobalInstant,
+}
+
+impl Delivery {
+    /// The frame that brought it.
+    pub const fn frame(&self) -> Frame {
+        Frame::new(Id::new(Priority::HARD, self.publisher, self.etag), self.payload)
+    }
 }
 
 /// What happened in the slots of one buffer since it was attached. All counts wrap.
@@ -273,6 +287,16 @@ impl<const N: usize> HrtBuffers<N> {
     /// that of the segment.
     pub fn inhibit(&mut self, inhibited: bool) {
         self.inhibited = inhibited;
+    }
+
+    /// Does the node keep silent because its calendar is not that of the segment?
+    pub const fn is_inhibited(&self) -> bool {
+        self.inhibited
+    }
+
+    /// The channel of a buffer.
+    pub fn etag(&self, id: BufferId) -> Option<Etag> {
+        Some(self.buffer(id.0)?.id.etag())
     }
 
     /// A frame has arrived. Says whether it belongs to a buffer of this node that subscribes to it.

@@ -1,0 +1,444 @@
+//! The event-triggered half of a node: owner of the event layer and of the soft and non real-time path.
+//!
+//! A node is two halves. The time-triggered half is a [`Dispatcher`](crate::network::hard::Dispatcher) in
+//! the task of the highest priority. This is the other one. Its parts never call each other; it takes
+//! what one of them produces to the next.
+//!
+//! Calls, in any order, each with the present local time:
+//!
+//! * from the application: [`announce`](EventHalf::announce), [`publish`](EventHalf::publish),
+//!   [`subscribe`](EventHalf::subscribe), [`next`](EventHalf::next) or
+//!   [`poll_next`](EventHalf::poll_next), [`take_exception`](EventHalf::take_exception);
+//! * from the driver: [`on_frame`](EventHalf::on_frame) for every received frame that is not hard real-time,
+//!   [`on_outcome`](EventHalf::on_outcome) for every frame that has left the soft or non real-time mailbox;
+//! * from the dispatcher's task: [`on_notify`](EventHalf::on_notify);
+//! * after any of them, and at the instant named last: [`poll`](EventHalf::poll), until it says
+//!   [`Step::SleepUntil`].
+//!
+//! A method that returns a [`Command`] wants it carried out by the driver before the next call.
+
+use crate::calendar::{Calendar, Slot};
+use crate::can::{Command, Frame, Mailbox, Outcome, TxNode};
+use crate::event_layer::{
+    Accepted, AnnounceError, Attributes, Channel, ChannelCounters, Content, Context, Declared, Event,
+    EventLayer, Exception, ExceptionKind, Exceptions, Filter, Policy, Publication, PublishError, Published,
+    Received, SubscribeError, Subscription,
+};
+use crate::network::hard::{Attach, AttachError, BufferId, Counters, HrtBuffers, Role};
+use crate::network::soft::{self, Etch, EtchCounters, PriorityMap};
+use crate::time::Instant;
+use crate::uid::Subject;
+use core::task::{Poll, Waker};
+
+/// Access to the HRT message buffers, which the two halves share.
+///
+/// The buffers themselves implement it, for a program in which nothing runs concurrently. In firmware, an
+/// implementation locks them for the time of the call, which copies at most one event.
+pub trait HardAccess<const SLOTS: usize> {
+    /// Calls `access` with the buffers.
+    fn with<R>(&mut self, access: impl FnOnce(&mut HrtBuffers<SLOTS>) -> R) -> R;
+}
+
+impl<const SLOTS: usize> HardAccess<SLOTS> for HrtBuffers<SLOTS> {
+    fn with<R>(&mut self, access: impl FnOnce(&mut HrtBuffers<SLOTS>) -> R) -> R {
+        access(self)
+    }
+}
+
+/// An event as a subscriber gets it.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Delivered<C> {
+    /// What was published.
+    pub content: C,
+    /// The attributes of context.
+    pub context: Context,
+    /// Who published it.
+    pub publisher: TxNode,
+    /// When its frame arrived; for a local publication, when it was published; for a hard real-time
+    /// event, when it became visible.
+    pub received_at: Instant,
+}
+
+/// What the owner of an [`EventHalf`] is to do next.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[must_use]
+pub enum Step {
+    /// Have the driver carry this out, then poll again.
+    Command(Command),
+    /// Nothing is to be done before this instant, if nothing else happens.
+    SleepUntil(Instant),
+}
+
+const PUBLISHES: Role = Role { publishes: true, subscribes: false };
+const SUBSCRIBES: Role = Role { publishes: false, subscribes: true };
+
+/// Exceptions that wait for the application; further ones are counted only.
+const EXCEPTIONS: usize = 16;
+
+/// The event-triggered half of a node.
+///
+/// | capacity | of |
+/// |---|---|
+/// | `SLOTS` | slots of the calendar in which the node takes part, a power of two |
+/// | `CHANNELS` | channels that it announces or subscribes to, a power of two |
+/// | `SUBSCRIPTIONS` | subscriptions |
+/// | `EVENTS` | received events that wait, in all queues together |
+/// | `SOFT`, `NRT` | events that wait to be sent |
+#[derive(Debug)]
+pub struct EventHalf<
+    const SLOTS: usize,
+    const CHANNELS: usize,
+    const SUBSCRIPTIONS: usize,
+    const EVENTS: usize,
+    const SOFT: usize,
+    const NRT: usize,
+> {
+    calendar: &'static Calendar,
+    tx_node: Option<TxNode>,
+    layer: EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>,
+    etch: Etch<SOFT, NRT>,
+    /// What the counters of each HRT message buffer were when they were last looked at.
+    seen: [Counters; SLOTS],
+    exceptions: Exceptions<EXCEPTIONS>,
+    exception_waker: Option<Waker>,
+    /// Received frames that concern nobody here.
+    foreign: u32,
+}
+
+impl<
+    const SLOTS: usize,
+    const CHANNELS: usize,
+    const SUBSCRIPTIONS: usize,
+    const EVENTS: usize,
+    const SOFT: usize,
+    const NRT: usize,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT>
+{
+    /// A node with a fixed TxNode, in a segment with this calendar. Δt_p is one longest frame.
+    pub const fn new(tx_node: TxNode, calendar: &'static Calendar) -> Self {
+        let map = PriorityMap::of(calendar.segment().bit_rate);
+        Self {
+            calendar,
+            tx_node: Some(tx_node),
+            layer: EventLayer::new(Some(tx_node), map),
+            etch: Etch::new(map),
+            seen: [Counters::NONE; SLOTS],
+            exceptions: Exceptions::new(),
+            exception_waker: None,
+            foreign: 0,
+        }
+    }
+
+    /// Announces a channel, on which this node may publish from now on. A hard real-time channel must
+    /// stand in the calendar. O(CHANNELS + slots of the calendar · SLOTS).
+    ///
+    /// # Errors
+    /// [`AnnounceError`]; nothing has changed then.
+    pub fn announce<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Publication<C>, AnnounceError> {
+        let publication = self.layer.announce(channel)?;
+        match self.attach(&channel.declared(), PUBLISHES, hard) {
+            Ok(buffer) => {
+                self.layer.set_buffer(&publication, buffer);
+                Ok(publication)
+            }
+            Err(error) => {
+                self.layer.cancel_publication(&publication);
+                Err(error)
+            }
+        }
+    }
+
+    /// Subscribes to a channel. O(CHANNELS + SUBSCRIPTIONS + slots of the calendar · SLOTS).
+    ///
+    /// # Errors
+    /// [`SubscribeError`]; nothing has changed then.
+    pub fn subscribe<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        filter: Filter,
+        policy: Policy,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Subscription<C>, SubscribeError> {
+        let subscription = self.layer.subscribe(channel, filter, policy)?;
+        match self.attach(&channel.declared(), SUBSCRIBES, hard) {
+            Ok(_) => Ok(subscription),
+            Err(error) => {
+                self.cancel_subscription(subscription, hard);
+                Err(SubscribeError::Channel(error))
+            }
+        }
+    }
+
+    /// Gives up an announcement. When it was the last one of the channel, events that wait to be sent are
+    /// discarded; the commands do so in the mailboxes.
+    pub fn cancel_publication<C>(
+        &mut self,
+        publication: Publication<C>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> [Option<Command>; 2] {
+        let Some(buffer) = self.layer.cancel_publication(&publication) else { return [None, None] };
+        detach(buffer, PUBLISHES, hard);
+        self.etch.recall(publication.tag())
+    }
+
+    /// Gives up a subscription, with the events that wait for it.
+    pub fn cancel_subscription<C>(
+        &mut self,
+        subscription: Subscription<C>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) {
+        let Some(etag) = self.layer.cancel_subscription(subscription) else { return };
+        for slot in self.calendar.slots().iter().filter(|slot| slot.etag == etag) {
+            let buffer = hard.with(|buffers| buffers.find(etag, slot.publisher));
+            detach(buffer, SUBSCRIBES, hard);
+        }
+    }
+
+    /// Publishes an event. Local subscribers get it too: a hard real-time event at its delivery instant,
+    /// any other at once. O(1) on an idle node, O(log SOFT) or O(log NRT) otherwise, and as
+    /// [`on_frame`](Self::on_frame) for local subscribers.
+    ///
+    /// # Errors
+    /// [`PublishError`]; the event is not sent.
+    #[inline]
+    pub fn publish<C: Content>(
+        &mut self,
+        now: Instant,
+        publication: &Publication<C>,
+        event: &Event<C>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Option<Command>, PublishError> {
+        let published = self.layer.publish(now, publication, event)?;
+        let (outgoing, submitted) = match published {
+            Published::Hard(buffer, payload) => {
+                hard.with(|buffers| buffers.publish(buffer, payload));
+                return Ok(None);
+            }
+            Published::Soft(outgoing) => (outgoing, self.etch.submit_soft(now, outgoing)),
+            Published::NonRealTime(outgoing) => (outgoing, self.etch.submit_non_real_time(now, outgoing)),
+        };
+        let accepted = self.layer.deliver_locally(&outgoing, now);
+        self.note(accepted, now);
+        submitted.map_err(|soft::Full| {
+            self.raise(self.layer.subject(outgoing.tag), ExceptionKind::TransmitQueueFull, now);
+            PublishError::QueueFull
+        })
+    }
+
+    /// Fetches the next event of a subscription. Content that is no value of the channel's type is passed
+    /// over, with an exception. O(1) for each event that is fetched.
+    #[inline]
+    pub fn next<C: Content>(&mut self, subscription: &Subscription<C>) -> Option<Delivered<C>> {
+        loop {
+            let received = self.layer.next(subscription)?;
+            if let Some(delivered) = self.decode(subscription, &received) {
+                return Some(delivered);
+            }
+        }
+    }
+
+    /// As [`next`](Self::next) in a task: if there is none, the next event wakes it.
+    pub fn poll_next<C: Content>(
+        &mut self,
+        subscription: &Subscription<C>,
+        waker: &Waker,
+    ) -> Poll<Delivered<C>> {
+        loop {
+            match self.layer.poll_next(subscription, waker) {
+                Poll::Pending => return Poll::Pending,
+                Poll::Ready(received) => {
+                    if let Some(delivered) = self.decode(subscription, &received) {
+                        return Poll::Ready(delivered);
+                    }
+                }
+            }
+        }
+    }
+
+    /// A frame has arrived, that is not hard real-time. One map look-up, then O(1) for each subscriber of
+    /// its channel, or O(EVENTS) for one who wants the earliest deadline first.
+    #[inline]
+    pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+        let accepted = self.layer.accept(frame, received_at);
+        self.note(accepted, received_at);
+    }
+
+    /// A frame has left the soft or non real-time mailbox. O(log SOFT) or O(log NRT).
+    pub fn on_outcome(&mut self, mailbox: Mailbox, outcome: Outcome, at: Instant) {
+        if let Some(exception) = self.etch.on_outcome(mailbox, outcome, at) {
+            self.raise_soft(&exception, at);
+        }
+    }
+
+    /// The dispatcher has said that something happened to an HRT message buffer.
+    pub fn on_notify(&mut self, buffer: BufferId, now: Instant, hard: &mut impl HardAccess<SLOTS>) {
+        let (delivery, counters, etag, mismatch) = hard.with(|buffers| {
+            (buffers.take(buffer), buffers.counters(buffer), buffers.etag(buffer), buffers.is_inhibited())
+        });
+        if let Some(delivery) = delivery {
+            let accepted = self.layer.accept(&delivery.frame(), now);
+            self.note(accepted, now);
+        }
+        let (Some(counters), Some(etag)) = (counters, etag) else { return };
+        let Some(seen) = self.seen.get_mut(buffer.index()) else { return };
+        let before = core::mem::replace(seen, counters);
+        let subject = self.layer.subject_of(etag);
+        let silence = if mismatch { ExceptionKind::CalendarMismatch } else { ExceptionKind::ClockOutOfBound };
+        for (kind, before, after) in [
+            (ExceptionKind::OmissionDegreeExceeded, before.omitted, counters.omitted),
+            (ExceptionKind::NothingPublished, before.unused, counters.unused),
+            (ExceptionKind::SlotSkipped, before.skipped, counters.skipped),
+            (ExceptionKind::MissedEvent, before.missed, counters.missed),
+            (ExceptionKind::QueueFull, before.overrun, counters.overrun),
+            (silence, before.inhibited, counters.inhibited),
+        ] {
+            // A buffer that was attached anew counts from zero.
+            let times = if after >= before { after - before } else { after };
+            self.exceptions.raise_times(Exception { subject, kind, at: now }, times);
+        }
+        self.wake_exception_handler();
+    }
+
+    /// What is to be done now; at most one command a call. O(SOFT + NRT).
+    pub fn poll(&mut self, now: Instant) -> Step {
+        loop {
+            match self.etch.poll(now) {
+                soft::Step::Command(command) => return Step::Command(command),
+                soft::Step::Exception(exception) => self.raise_soft(&exception, now),
+                soft::Step::SleepUntil(instant) => return Step::SleepUntil(instant),
+            }
+        }
+    }
+
+    /// Fetches the oldest exception.
+    pub fn take_exception(&mut self) -> Option<Exception> {
+        self.exceptions.take()
+    }
+
+    /// As [`take_exception`](Self::take_exception) in a task: if there is none, the next wakes it.
+    pub fn poll_exception(&mut self, waker: &Waker) -> Poll<Exception> {
+        match self.exceptions.take() {
+            Some(exception) => Poll::Ready(exception),
+            None => {
+                self.exception_waker = Some(waker.clone());
+                Poll::Pending
+            }
+        }
+    }
+
+    /// How many exceptions of a kind there were. Wraps.
+    pub fn exceptions(&self, kind: ExceptionKind) -> u32 {
+        self.exceptions.count(kind)
+    }
+
+    /// How many exceptions were counted but not kept, because the application did not fetch them. Wraps.
+    pub fn exceptions_dropped(&self) -> u32 {
+        self.exceptions.dropped()
+    }
+
+    /// What happened on a channel at this node.
+    pub fn channel_counters(&self, subject: Subject) -> Option<ChannelCounters> {
+        self.layer.counters(subject)
+    }
+
+    /// What went through the soft and non real-time path.
+    pub fn etch_counters(&self) -> EtchCounters {
+        self.etch.counters()
+    }
+
+    /// How many received frames concerned nobody here. Wraps.
+    pub fn foreign_frames(&self) -> u32 {
+        self.foreign
+    }
+
+    /// The controller has left the bus.
+    pub fn on_bus_off(&mut self, now: Instant) {
+        self.raise(None, ExceptionKind::BusOff, now);
+    }
+
+    /// Takes part in the slots of a hard real-time channel; nothing for the others.
+    fn attach(
+        &mut self,
+        declared: &Declared,
+        role: Role,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Option<BufferId>, AnnounceError> {
+        let Attributes::Hard(attributes) = declared.attributes else { return Ok(None) };
+        let fits = |slot: &&Slot| {
+            Some(slot.etag) == declared.etag
+                && slot.period == attributes.period
+                && slot.periodic == attributes.periodic
+                && slot.omission_degree == attributes.omission_degree
+                && usize::from(slot.len) >= declared.len
+                && (role.subscribes || Some(slot.publisher) == self.tx_node)
+        };
+        let mut buffer = None;
+        for slot in self.calendar.slots().iter().filter(fits) {
+            let request = Attach { calendar: self.calendar, slot, role };
+            let attached = hard.with(|buffers| buffers.attach(&request));
+            buffer = Some(attached.map_err(|AttachError::Full| AnnounceError::TooManySlots)?);
+        }
+        buffer.map(Some).ok_or(AnnounceError::NotInCalendar)
+    }
+
+    fn decode<C: Content>(
+        &mut self,
+        subscription: &Subscription<C>,
+        received: &Received,
+    ) -> Option<Delivered<C>> {
+        let Some(content) = C::decode(received.content.as_slice()) else {
+            let subject = self.layer.note_malformed(subscription);
+            self.raise(subject, ExceptionKind::Malformed, received.received_at);
+            return None;
+        };
+        Some(Delivered {
+            content,
+            context: received.context,
+            publisher: received.publisher,
+            received_at: received.received_at,
+        })
+    }
+
+    #[inline]
+    fn note(&mut self, accepted: Accepted, now: Instant) {
+        match accepted {
+            Accepted::Delivered => {}
+            Accepted::Foreign => self.foreign = self.foreign.wrapping_add(1),
+            Accepted::Overflowed(subject) => self.raise(Some(subject), ExceptionKind::QueueFull, now),
+            Accepted::Malformed(subject) => self.raise(Some(subject), ExceptionKind::Malformed, now),
+        }
+    }
+
+    fn raise_soft(&mut self, exception: &soft::Exception, at: Instant) {
+        let kind = match exception.kind {
+            soft::ExceptionKind::MissedDeadline => ExceptionKind::MissedDeadline,
+            soft::ExceptionKind::Expired => ExceptionKind::ValidityExpired,
+        };
+        self.raise(self.layer.subject(exception.tag), kind, at);
+    }
+
+    fn raise(&mut self, subject: Option<Subject>, kind: ExceptionKind, at: Instant) {
+        self.exceptions.raise_times(Exception { subject, kind, at }, 1);
+        self.wake_exception_handler();
+    }
+
+    fn wake_exception_handler(&mut self) {
+        if !self.exceptions.is_empty() {
+            if let Some(waker) = self.exception_waker.take() {
+                waker.wake();
+            }
+        }
+    }
+}
+
+fn detach<const SLOTS: usize>(buffer: Option<BufferId>, role: Role, hard: &mut impl HardAccess<SLOTS>) {
+    if let Some(buffer) = buffer {
+        hard.with(|buffers| buffers.detach(buffer, role));
+    }
+}

@@ -1,0 +1,116 @@
+//! What the application is told when something did not happen as it was promised.
+
+use crate::time::Instant;
+use crate::uid::Subject;
+
+/// Something did not happen as it was promised.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Exception {
+    /// The channel; `None` if it concerns the node as a whole.
+    pub subject: Option<Subject>,
+    /// What it was.
+    pub kind: ExceptionKind,
+    /// When the node noticed.
+    pub at: Instant,
+}
+
+/// What did not happen as it was promised.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ExceptionKind {
+    /// Publisher: an event has not been sent by its transmission deadline. It is still sent.
+    MissedDeadline,
+    /// Publisher: an event expired before it was sent, and has been discarded.
+    ValidityExpired,
+    /// Publisher: more faults than the omission degree; a hard real-time event was not sent in its slot.
+    OmissionDegreeExceeded,
+    /// Publisher: nothing fresh was there for the slot of a periodic channel.
+    NothingPublished,
+    /// Publisher: a hard real-time event was not sent because its slot could not be used.
+    SlotSkipped,
+    /// Subscriber: no event arrived in the slot of a periodic channel.
+    MissedEvent,
+    /// Both: the hard real-time path keeps silent, for the clock is not as accurate as planned.
+    ClockOutOfBound,
+    /// Both: the hard real-time path keeps silent, for the segment has another calendar.
+    CalendarMismatch,
+    /// Subscriber: an event did not fit in the subscription's queue and was dropped.
+    QueueFull,
+    /// Subscriber: an event did not carry what the channel's type says, and was dropped.
+    Malformed,
+    /// Publisher: a queue towards the bus was full; an event was dropped.
+    TransmitQueueFull,
+    /// The broker refused a binding, or did not answer.
+    BindingRefused,
+    /// Another node uses this subject with another layout of content.
+    LayoutMismatch,
+    /// Another node uses this node's TxNode.
+    DuplicateTxNode,
+    /// The controller has left the bus after too many errors.
+    BusOff,
+}
+
+impl ExceptionKind {
+    /// How many kinds there are.
+    pub const COUNT: usize = 15;
+}
+
+/// Exceptions on their way to the application: the first `N` are kept, all are counted.
+#[derive(Clone, Debug)]
+pub(crate) struct Exceptions<const N: usize> {
+    ring: [Option<Exception>; N],
+    first: usize,
+    len: usize,
+    counts: [u32; ExceptionKind::COUNT],
+    dropped: u32,
+}
+
+impl<const N: usize> Exceptions<N> {
+    pub(crate) const fn new() -> Self {
+        Self { ring: [None; N], first: 0, len: 0, counts: [0; ExceptionKind::COUNT], dropped: 0 }
+    }
+
+    /// Counts an exception that occurred so many times, and keeps it once. O(1). When nobody fetches them,
+    /// the newest are not kept; the counts remain right.
+    pub(crate) fn raise_times(&mut self, exception: Exception, times: u32) {
+        if times == 0 {
+            return;
+        }
+        if let Some(count) = self.counts.get_mut(exception.kind as usize) {
+            *count = count.wrapping_add(times);
+        }
+        if self.len >= N {
+            self.dropped = self.dropped.wrapping_add(times);
+            return;
+        }
+        self.dropped = self.dropped.wrapping_add(times - 1);
+        let at = (self.first + self.len) % N.max(1);
+        if let Some(place) = self.ring.get_mut(at) {
+            *place = Some(exception);
+            self.len += 1;
+        }
+    }
+
+    pub(crate) fn take(&mut self) -> Option<Exception> {
+        if self.len == 0 {
+            return None;
+        }
+        let exception = self.ring.get_mut(self.first)?.take();
+        self.first = (self.first + 1) % N.max(1);
+        self.len -= 1;
+        exception
+    }
+
+    pub(crate) const fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    pub(crate) fn count(&self, kind: ExceptionKind) -> u32 {
+        self.counts.get(kind as usize).copied().unwrap_or(0)
+    }
+
+    pub(crate) fn dropped(&self) -> u32 {
+        self.dropped
+    }
+}

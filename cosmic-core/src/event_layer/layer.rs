@@ -1,0 +1,501 @@
+//! The event channel handler (ECH): announce, publish, subscribe, and delivery to the queues of the
+//! subscribers.
+
+use super::attributes::Attributes;
+use super::channel::{
+    Channel, ChannelCounters, Declared, Entry, NONE, Policy, Publication, Subscriber, Subscription,
+};
+use super::content::Content;
+use super::filter::{Context, Filter};
+use super::pool::{List, Pool, PoolFull, Received};
+use crate::can::{Etag, Frame, Id, Payload, Priority, TxNode};
+use crate::network::hard::BufferId;
+use crate::network::id_map::IdMap;
+use crate::network::soft::{Outgoing, PriorityMap, Tag};
+use crate::time::{Duration, Instant};
+use crate::uid::Subject;
+use core::task::{Poll, Waker};
+
+/// Why a channel cannot be announced.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum AnnounceError {
+    /// The node knows as many channels as it has room for: make `CHANNELS` larger.
+    TooManyChannels,
+    /// The node uses this subject with other attributes, another etag, or another layout of content.
+    Contradiction,
+    /// Another channel of this node has this etag.
+    EtagInUse,
+    /// The calendar has no slot of this node with the etag, period and omission degree.
+    NotInCalendar,
+    /// The node takes part in as many slots as it has room for: make `SLOTS` larger.
+    TooManySlots,
+}
+
+/// Why a channel cannot be subscribed to.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum SubscribeError {
+    /// As for announcing.
+    Channel(AnnounceError),
+    /// The node has as many subscriptions as it has room for: make `SUBSCRIPTIONS` larger.
+    TooManySubscriptions,
+}
+
+/// Why an event was not published. It has been counted.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum PublishError {
+    /// The publication has been cancelled.
+    NotAnnounced,
+    /// The broker has not told the channel's etag, or the node's TxNode, yet.
+    NotBound,
+    /// The deadline has passed, or the event expires before it.
+    Deadline,
+    /// A hard real-time event has no deadline of its own: the calendar has.
+    HardDeadline,
+    /// Content and context together are longer than a frame, or than the slot of the calendar; or the
+    /// channel was declared without context.
+    TooLong,
+    /// The queue towards the bus is full.
+    QueueFull,
+}
+
+/// An event as an application publishes it.
+///
+/// ```
+/// use cosmic_core::event_layer::Event;
+/// use cosmic_core::time::{Duration, Instant};
+///
+/// let now = Instant::EPOCH;
+/// let event = Event::new(21_i16).deadline(now + Duration::from_millis(5));
+/// ```
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Event<C> {
+    /// What is published.
+    pub content: C,
+    /// The attributes of context.
+    pub context: Context,
+    /// When it should have been sent; `None`: as the channel says. Not for hard real-time events.
+    pub deadline: Option<Instant>,
+    /// When it is of no use any more; `None`: as the channel says. Not for hard real-time events.
+    pub expires_at: Option<Instant>,
+}
+
+impl<C> Event<C> {
+    /// An event with the channel's own quality and no context.
+    pub const fn new(content: C) -> Self {
+        Self { content, context: Context::EMPTY, deadline: None, expires_at: None }
+    }
+
+    /// With this transmission deadline.
+    pub fn deadline(self, deadline: Instant) -> Self {
+        Self { deadline: Some(deadline), ..self }
+    }
+
+    /// With this expiration.
+    pub fn expires_at(self, expires_at: Instant) -> Self {
+        Self { expires_at: Some(expires_at), ..self }
+    }
+
+    /// With these attributes of context.
+    pub fn context(self, context: Context) -> Self {
+        Self { context, ..self }
+    }
+}
+
+/// Where a published event goes; the owner of the layer takes it there.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[must_use]
+pub enum Published {
+    /// Into this HRT message buffer.
+    Hard(BufferId, Payload),
+    /// To the soft real-time queue.
+    Soft(Outgoing),
+    /// To the non real-time queue.
+    NonRealTime(Outgoing),
+}
+
+/// The channels, subscriptions and waiting events of a node: room for `CHANNELS` (a power of two),
+/// `SUBSCRIPTIONS`, and `EVENTS` in all queues together.
+#[derive(Debug)]
+pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize> {
+    tx_node: Option<TxNode>,
+    map: PriorityMap,
+    channels: [Option<Entry>; CHANNELS],
+    by_etag: IdMap<CHANNELS>,
+    subscribers: [Option<Subscriber>; SUBSCRIPTIONS],
+    pool: Pool<EVENTS>,
+}
+
+/// What happened to a frame that was offered to the layer.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[must_use]
+pub(crate) enum Accepted {
+    /// It belongs to no channel that is subscribed to here.
+    Foreign,
+    Delivered,
+    /// It belongs to the channel, and this went wrong.
+    Overflowed(Subject),
+    Malformed(Subject),
+}
+
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
+    EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>
+{
+    /// A layer without channels. A node that is configured at run time has no TxNode yet.
+    pub const fn new(tx_node: Option<TxNode>, map: PriorityMap) -> Self {
+        const {
+            assert!(CHANNELS <= 128, "at most 128 channels a node");
+            assert!(SUBSCRIPTIONS < NONE as usize, "at most 254 subscriptions a node");
+        }
+        Self {
+            tx_node,
+            map,
+            channels: [const { None }; CHANNELS],
+            by_etag: IdMap::new(),
+            subscribers: [const { None }; SUBSCRIPTIONS],
+            pool: Pool::new(),
+        }
+    }
+
+    /// The node has been given its TxNode, or lost it.
+    pub fn set_tx_node(&mut self, tx_node: Option<TxNode>) {
+        self.tx_node = tx_node;
+    }
+
+    /// Announces a channel: from now on this node may publish on it. Several announcements of a channel
+    /// are counted. O(CHANNELS).
+    pub(crate) fn announce<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+    ) -> Result<Publication<C>, AnnounceError> {
+        let at = self.enter(&channel.declared)?;
+        if let Some(entry) = self.entry_mut(at) {
+            entry.announcements = entry.announcements.saturating_add(1);
+        }
+        Ok(Publication::new(at))
+    }
+
+    /// The HRT message buffer through which a hard real-time channel is published.
+    pub(crate) fn set_buffer<C>(&mut self, publication: &Publication<C>, buffer: Option<BufferId>) {
+        if let Some(entry) = self.entry_mut(publication.channel) {
+            entry.buffer = buffer;
+        }
+    }
+
+    /// Subscribes to a channel. O(CHANNELS + SUBSCRIPTIONS).
+    pub(crate) fn subscribe<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        filter: Filter,
+        policy: Policy,
+    ) -> Result<Subscription<C>, SubscribeError> {
+        let index = (self.subscribers.iter().position(Option::is_none))
+            .ok_or(SubscribeError::TooManySubscriptions)?;
+        let at = self.enter(&channel.declared).map_err(SubscribeError::Channel)?;
+        let Some(entry) = self.entry_mut(at) else {
+            return Err(SubscribeError::Channel(AnnounceError::TooManyChannels));
+        };
+        let next = entry.first_subscription;
+        entry.first_subscription = index as u8;
+        entry.subscriptions = entry.subscriptions.saturating_add(1);
+        self.subscribers[index] =
+            Some(Subscriber { channel: at, next, filter, policy, list: List::new(), waker: None });
+        Ok(Subscription::new(index as u8))
+    }
+
+    /// Gives up an announcement. Says whether it was the last one of its channel, and with which buffer.
+    pub(crate) fn cancel_publication<C>(&mut self, publication: &Publication<C>) -> Option<Option<BufferId>> {
+        let entry = self.entry_mut(publication.channel)?;
+        entry.announcements = entry.announcements.checked_sub(1)?;
+        if entry.announcements > 0 {
+            return None;
+        }
+        let buffer = entry.buffer.take();
+        self.forget_unused(publication.channel);
+        Some(buffer)
+    }
+
+    /// Gives up a subscription, with the events that wait for it. Says which etag has lost its last
+    /// subscriber here. O(SUBSCRIPTIONS + EVENTS).
+    pub(crate) fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) -> Option<Etag> {
+        let index = subscription.index;
+        let mut gone = self.subscribers.get_mut(usize::from(index))?.take()?;
+        gone.list.clear(&mut self.pool);
+        let entry = self.channels.get_mut(usize::from(gone.channel))?.as_mut()?;
+        if entry.first_subscription == index {
+            entry.first_subscription = gone.next;
+        } else {
+            let before = |place: &&mut Option<Subscriber>| {
+                place.as_ref().is_some_and(|s| s.channel == gone.channel && s.next == index)
+            };
+            if let Some(Some(before)) = self.subscribers.iter_mut().find(before) {
+                before.next = gone.next;
+            }
+        }
+        entry.subscriptions = entry.subscriptions.saturating_sub(1);
+        let last = (entry.subscriptions == 0).then_some(entry.etag).flatten();
+        self.forget_unused(gone.channel);
+        last
+    }
+
+    /// What a publication becomes on its way. O(1).
+    #[inline]
+    pub(crate) fn publish<C: Content>(
+        &mut self,
+        now: Instant,
+        publication: &Publication<C>,
+        event: &Event<C>,
+    ) -> Result<Published, PublishError> {
+        let tx_node = self.tx_node.ok_or(PublishError::NotBound)?;
+        let at = publication.channel;
+        let entry = self.entry_mut(at).filter(|entry| entry.announcements > 0);
+        let entry = entry.ok_or(PublishError::NotAnnounced)?;
+        let etag = entry.etag.ok_or(PublishError::NotBound)?;
+        let mut bytes = [0; Payload::MAX_LEN];
+        event.content.encode(bytes.get_mut(..C::LEN).ok_or(PublishError::TooLong)?);
+        let mut payload = Payload::truncated(bytes, C::LEN);
+        if entry.declared.context {
+            payload = event.context.prepend(&payload).map_err(|_| PublishError::TooLong)?;
+        } else if event.context != Context::EMPTY {
+            return Err(PublishError::TooLong);
+        }
+        let published = match entry.declared.attributes {
+            Attributes::Hard(_) => {
+                if event.deadline.is_some() || event.expires_at.is_some() {
+                    return Err(PublishError::HardDeadline);
+                }
+                Published::Hard(entry.buffer.ok_or(PublishError::NotAnnounced)?, payload)
+            }
+            Attributes::Soft(soft) => {
+                let deadline = event.deadline.unwrap_or(now + soft.deadline);
+                let expires_at = event.expires_at.unwrap_or(now + soft.validity).max(deadline);
+                let frame = Frame::new(Id::new(Priority::SOFT_MOST_URGENT, tx_node, etag), payload);
+                check_deadline(now, deadline, event.expires_at)?;
+                Published::Soft(Outgoing { tag: Tag(at), frame, deadline, expires_at })
+            }
+            Attributes::NonRealTime(quality) => {
+                let deadline = event.deadline.unwrap_or(Instant::FAR_FUTURE);
+                let validity = quality.validity.map_or(Instant::FAR_FUTURE, |validity| now + validity);
+                let expires_at = event.expires_at.unwrap_or(validity);
+                let frame = Frame::new(Id::new(quality.importance.priority(), tx_node, etag), payload);
+                check_deadline(now, deadline.min(expires_at), event.expires_at)?;
+                Published::NonRealTime(Outgoing { tag: Tag(at), frame, deadline, expires_at })
+            }
+        };
+        entry.counters.published = entry.counters.published.wrapping_add(1);
+        Ok(published)
+    }
+
+    /// Gives a frame to the subscribers of its channel: one map look-up, then O(1) for each subscriber,
+    /// or O(length) of the queue of one who wants the earliest deadline first.
+    #[inline]
+    pub(crate) fn accept(&mut self, frame: &Frame, received_at: Instant) -> Accepted {
+        let Some(at) = self.by_etag.get(u32::from(frame.id.etag().get())) else {
+            return Accepted::Foreign;
+        };
+        self.deliver(at, frame, received_at)
+    }
+
+    #[inline]
+    fn deliver(&mut self, at: u8, frame: &Frame, received_at: Instant) -> Accepted {
+        let Some(Some(entry)) = self.channels.get_mut(usize::from(at)) else { return Accepted::Foreign };
+        let mut next = entry.first_subscription;
+        if next == NONE {
+            return Accepted::Foreign;
+        }
+        let parts = if entry.declared.context {
+            Context::split(&frame.payload)
+        } else {
+            Some((Context::EMPTY, frame.payload))
+        };
+        let Some((context, content)) = parts else {
+            entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
+            return Accepted::Malformed(entry.declared.subject);
+        };
+        let event = Received { received_at, publisher: frame.id.tx_node(), context, content };
+        let mut accepted = Accepted::Delivered;
+        while let Some(Some(subscriber)) = self.subscribers.get_mut(usize::from(next)) {
+            next = subscriber.next;
+            if !subscriber.filter.matches(&event.context) {
+                entry.counters.filtered = entry.counters.filtered.wrapping_add(1);
+                continue;
+            }
+            let deadline = || {
+                let steps = u64::from(frame.id.priority().get());
+                received_at + Duration::from_ticks(steps * self.map.step().as_ticks())
+            };
+            match subscriber.offer(&mut self.pool, event, deadline) {
+                Ok(replaced) => {
+                    entry.counters.delivered = entry.counters.delivered.wrapping_add(1);
+                    if replaced {
+                        entry.counters.replaced = entry.counters.replaced.wrapping_add(1);
+                    }
+                    if let Some(waker) = subscriber.waker.take() {
+                        waker.wake();
+                    }
+                }
+                Err(PoolFull) => {
+                    entry.counters.overflowed = entry.counters.overflowed.wrapping_add(1);
+                    accepted = Accepted::Overflowed(entry.declared.subject);
+                }
+            }
+        }
+        accepted
+    }
+
+    /// Gives an event that this node publishes to its own subscribers.
+    #[inline]
+    pub(crate) fn deliver_locally(&mut self, outgoing: &Outgoing, now: Instant) -> Accepted {
+        self.deliver(outgoing.tag.0, &outgoing.frame, now)
+    }
+
+    /// Fetches the next event of a subscription. O(1).
+    #[inline]
+    pub(crate) fn next<C>(&mut self, subscription: &Subscription<C>) -> Option<Received> {
+        let subscriber = self.subscribers.get_mut(usize::from(subscription.index))?.as_mut()?;
+        subscriber.list.pop(&mut self.pool)
+    }
+
+    /// As `next`; if there is none, the waker is woken by the next event.
+    pub(crate) fn poll_next<C>(&mut self, subscription: &Subscription<C>, waker: &Waker) -> Poll<Received> {
+        match self.next(subscription) {
+            Some(event) => Poll::Ready(event),
+            None => {
+                let place = self.subscribers.get_mut(usize::from(subscription.index));
+                if let Some(Some(subscriber)) = place {
+                    subscriber.waker = Some(waker.clone());
+                }
+                Poll::Pending
+            }
+        }
+    }
+
+    /// What happened on a channel.
+    pub fn counters(&self, subject: Subject) -> Option<ChannelCounters> {
+        self.channels
+            .iter()
+            .flatten()
+            .find(|entry| entry.declared.subject == subject)
+            .map(|entry| entry.counters)
+    }
+
+    /// The broker has bound the subject. O(CHANNELS).
+    pub(crate) fn bind(&mut self, subject: Subject, etag: Etag) -> Result<(), AnnounceError> {
+        let Some(at) = self.find(subject) else { return Ok(()) };
+        self.name(at as u8, etag)
+    }
+
+    /// The subject of a channel by its number.
+    pub(crate) fn subject(&self, tag: Tag) -> Option<Subject> {
+        Some(self.channels.get(usize::from(tag.0))?.as_ref()?.declared.subject)
+    }
+
+    /// The channel that has this etag here.
+    pub(crate) fn subject_of(&self, etag: Etag) -> Option<Subject> {
+        self.subject(Tag(self.by_etag.get(u32::from(etag.get()))?))
+    }
+
+    /// Marks an event whose content is no value of the channel's type.
+    pub(crate) fn note_malformed<C>(&mut self, subscription: &Subscription<C>) -> Option<Subject> {
+        let at = self.subscribers.get(usize::from(subscription.index))?.as_ref()?.channel;
+        let entry = self.entry_mut(at)?;
+        entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
+        Some(entry.declared.subject)
+    }
+
+    fn find(&self, subject: Subject) -> Option<usize> {
+        let is_it = |place: &Option<Entry>| place.as_ref().is_some_and(|e| e.declared.subject == subject);
+        self.channels.iter().position(is_it)
+    }
+
+    fn entry_mut(&mut self, at: u8) -> Option<&mut Entry> {
+        self.channels.get_mut(usize::from(at))?.as_mut()
+    }
+
+    /// The entry of a channel, made if there is none.
+    fn enter(&mut self, declared: &Declared) -> Result<u8, AnnounceError> {
+        if let Some(at) = self.find(declared.subject) {
+            let same = self.channels[at].as_ref().is_some_and(|entry| entry.declared == *declared);
+            return if same { Ok(at as u8) } else { Err(AnnounceError::Contradiction) };
+        }
+        let at = self.channels.iter().position(Option::is_none).ok_or(AnnounceError::TooManyChannels)?;
+        if let Some(etag) = declared.etag {
+            if self.by_etag.get(u32::from(etag.get())).is_some() {
+                return Err(AnnounceError::EtagInUse);
+            }
+        }
+        self.channels[at] = Some(Entry {
+            declared: *declared,
+            etag: None,
+            announcements: 0,
+            subscriptions: 0,
+            first_subscription: NONE,
+            buffer: None,
+            counters: ChannelCounters::default(),
+        });
+        if let Some(etag) = declared.etag {
+            if let Err(error) = self.name(at as u8, etag) {
+                self.channels[at] = None;
+                return Err(error);
+            }
+        }
+        Ok(at as u8)
+    }
+
+    fn name(&mut self, at: u8, etag: Etag) -> Result<(), AnnounceError> {
+        let key = u32::from(etag.get());
+        if self.by_etag.get(key).is_some_and(|other| other != at) {
+            return Err(AnnounceError::EtagInUse);
+        }
+        let former = self.entry_mut(at).and_then(|entry| entry.etag);
+        if let Some(former) = former {
+            self.by_etag.remove(u32::from(former.get()));
+        }
+        self.by_etag.insert(key, at).map_err(|_| AnnounceError::TooManyChannels)?;
+        if let Some(entry) = self.entry_mut(at) {
+            entry.etag = Some(etag);
+        }
+        Ok(())
+    }
+
+    fn forget_unused(&mut self, at: u8) {
+        let Some(place) = self.channels.get_mut(usize::from(at)) else { return };
+        let unused = |entry: &mut Entry| entry.announcements == 0 && entry.subscriptions == 0;
+        if let Some(entry) = place.take_if(unused) {
+            if let Some(etag) = entry.etag {
+                self.by_etag.remove(u32::from(etag.get()));
+            }
+        }
+    }
+}
+
+impl Subscriber {
+    /// Queues an event by the subscriber's policy. Says whether it replaced an earlier one.
+    #[inline]
+    fn offer<const N: usize>(
+        &mut self,
+        pool: &mut Pool<N>,
+        event: Received,
+        deadline: impl FnOnce() -> Instant,
+    ) -> Result<bool, PoolFull> {
+        let full = self.list.len() >= self.policy.depth();
+        match self.policy {
+            Policy::Latest => {
+                let replaced = full && self.list.pop(pool).is_some();
+                self.list.push(pool, event, event.received_at).map(|()| replaced)
+            }
+            _ if full => Err(PoolFull),
+            Policy::Fifo(_) => self.list.push(pool, event, event.received_at).map(|()| false),
+            Policy::DeadlineOrder(_) => self.list.insert(pool, event, deadline()).map(|()| false),
+        }
+    }
+}
+
+/// An event that the application gave a time of its own must not be late from the start.
+#[inline]
+fn check_deadline(now: Instant, deadline: Instant, expires_at: Option<Instant>) -> Result<(), PublishError> {
+    let expired = expires_at.is_some_and(|expires_at| expires_at < deadline);
+    if deadline <= now || expired { Err(PublishError::Deadline) } else { Ok(()) }
+}

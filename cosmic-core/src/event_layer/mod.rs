@@ -1,0 +1,23 @@
+//! The event layer: subjects, channels, publications and subscriptions.
+
+mod attributes;
+mod channel;
+mod content;
+mod exception;
+mod filter;
+mod layer;
+mod pool;
+
+pub use attributes::{Attributes, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes};
+pub use channel::{Channel, ChannelCounters, Depth, Policy, Publication, Subscription};
+pub use content::{Content, layout_of};
+pub use exception::{Exception, ExceptionKind};
+pub use filter::{Attribute, Context, Filter, NoRoom};
+pub use layer::{AnnounceError, Event, EventLayer, PublishError, Published, SubscribeError};
+pub use pool::Received;
+
+pub use crate::protocol::Class;
+
+pub(crate) use channel::Declared;
+pub(crate) use exception::Exceptions;
+pub(crate) use layer::Accepted;
