@@ -1,1 +1,35 @@
-//! (being built)
+//! A bit-accurate CAN bus in virtual time.
+//!
+//! [`Bus`] carries frames between stations: arbitration by identifier, the exact length of each frame
+//! with its stuff bits, acknowledgement, error frames, automatic retransmission, error counters, bus-off,
+//! and faults drawn from a seed. It is one piece of code under two test beds, the cluster simulation and
+//! the emulated microcontrollers.
+//!
+//! Nothing here reads a clock: the caller gives commands at virtual instants and advances the bus, which
+//! appends what happened to the caller's list of [`Event`]s. One seed and one sequence of commands give
+//! one sequence of events and one trace, byte for byte.
+#![forbid(unsafe_code)]
+
+mod accounting;
+mod bits;
+mod bus;
+mod confinement;
+mod course;
+mod event;
+mod fault;
+mod filter;
+mod frame;
+mod station;
+pub mod time;
+pub mod trace;
+
+pub use accounting::{Accounting, TrafficClass};
+pub use bits::{Field, Level, WireBits};
+pub use bus::Bus;
+pub use confinement::{BusOffRecovery, ErrorLevel, ErrorState};
+pub use event::{ErrorCause, Event, EventKind, StationId};
+pub use fault::{BitPosition, Chance, Fault, FaultModel, Rule, Transmitter, Victims};
+pub use filter::{Filter, Filters};
+pub use frame::{Arbitration, ForeignFrame, WireFrame};
+pub use station::{LoadError, MAILBOXES};
+pub use time::VirtualInstant;
