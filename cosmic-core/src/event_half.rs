@@ -25,7 +25,8 @@ use crate::event_layer::{
     Received, SubscribeError, Subscription,
 };
 use crate::network::hard::{Attach, AttachError, BufferId, Counters, HrtBuffers, Role};
-use crate::network::soft::{self, Etch, EtchCounters, PriorityMap};
+use crate::network::soft::{self, Etch, EtchCounters, Outgoing, PriorityMap, Tag};
+use crate::services::{Request, Services};
 use crate::time::Instant;
 use crate::uid::Subject;
 use core::task::{Poll, Waker};
@@ -74,6 +75,9 @@ pub enum Step {
 const PUBLISHES: Role = Role { publishes: true, subscribes: false };
 const SUBSCRIBES: Role = Role { publishes: false, subscribes: true };
 
+/// Frames of the services; channels have smaller numbers.
+const SERVICES: Tag = Tag(u8::MAX);
+
 /// Exceptions that wait for the application; further ones are counted only.
 const EXCEPTIONS: usize = 16;
 
@@ -86,6 +90,8 @@ const EXCEPTIONS: usize = 16;
 /// | `SUBSCRIPTIONS` | subscriptions |
 /// | `EVENTS` | received events that wait, in all queues together |
 /// | `SOFT`, `NRT` | events that wait to be sent |
+///
+/// `S` are the [services](crate::services) that it takes part in.
 #[derive(Debug)]
 pub struct EventHalf<
     const SLOTS: usize,
@@ -94,6 +100,7 @@ pub struct EventHalf<
     const EVENTS: usize,
     const SOFT: usize,
     const NRT: usize,
+    S = (),
 > {
     calendar: &'static Calendar,
     tx_node: Option<TxNode>,
@@ -105,6 +112,7 @@ pub struct EventHalf<
     exception_waker: Option<Waker>,
     /// Received frames that concern nobody here.
     foreign: u32,
+    services: S,
 }
 
 impl<
@@ -114,21 +122,34 @@ impl<
     const EVENTS: usize,
     const SOFT: usize,
     const NRT: usize,
-> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT>
+    S: Services,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S>
 {
-    /// A node with a fixed TxNode, in a segment with this calendar. Δt_p is one longest frame.
-    pub const fn new(tx_node: TxNode, calendar: &'static Calendar) -> Self {
+    /// A node in a segment with this calendar. Without a TxNode it publishes nothing; a service may give
+    /// it one. Δt_p is one longest frame.
+    pub const fn new(tx_node: Option<TxNode>, calendar: &'static Calendar, services: S) -> Self {
         let map = PriorityMap::of(calendar.segment().bit_rate);
         Self {
             calendar,
-            tx_node: Some(tx_node),
-            layer: EventLayer::new(Some(tx_node), map),
+            tx_node,
+            layer: EventLayer::new(tx_node, map),
             etch: Etch::new(map),
             seen: [Counters::NONE; SLOTS],
             exceptions: Exceptions::new(),
             exception_waker: None,
             foreign: 0,
+            services,
         }
+    }
+
+    /// The services that the node takes part in.
+    pub const fn services(&self) -> &S {
+        &self.services
+    }
+
+    /// As [`services`](Self::services), to ask for something. Then [`poll`](Self::poll).
+    pub const fn services_mut(&mut self) -> &mut S {
+        &mut self.services
     }
 
     /// Announces a channel, on which this node may publish from now on. A hard real-time channel must
@@ -184,7 +205,7 @@ impl<
     ) -> [Option<Command>; 2] {
         let Some(buffer) = self.layer.cancel_publication(&publication) else { return [None, None] };
         detach(buffer, PUBLISHES, hard);
-        self.etch.recall(publication.tag())
+        self.etch.recall(|outgoing| outgoing.tag == publication.tag())
     }
 
     /// Gives up a subscription, with the events that wait for it.
@@ -265,13 +286,21 @@ impl<
     /// its channel, or O(EVENTS) for one who wants the earliest deadline first.
     #[inline]
     pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+        if frame.id.etag().is_reserved() {
+            self.services.on_frame(frame, received_at);
+            return;
+        }
         let accepted = self.layer.accept(frame, received_at);
         self.note(accepted, received_at);
     }
 
     /// A frame has left the soft or non real-time mailbox. O(log SOFT) or O(log NRT).
     pub fn on_outcome(&mut self, mailbox: Mailbox, outcome: Outcome, at: Instant) {
-        if let Some(exception) = self.etch.on_outcome(mailbox, outcome, at) {
+        let departure = self.etch.on_outcome(mailbox, outcome, at);
+        if let Some(sent) = departure.sent.filter(|sent| sent.tag == SERVICES) {
+            self.services.on_sent(&sent.frame, at);
+        }
+        if let Some(exception) = departure.exception {
             self.raise_soft(&exception, at);
         }
     }
@@ -305,15 +334,70 @@ impl<
         self.wake_exception_handler();
     }
 
-    /// What is to be done now; at most one command a call. O(SOFT + NRT).
-    pub fn poll(&mut self, now: Instant) -> Step {
+    /// What is to be done now; at most one command a call. O(SOFT + NRT), and what the services need.
+    pub fn poll(&mut self, now: Instant, hard: &mut impl HardAccess<SLOTS>) -> Step {
+        while let Some(request) = self.services.poll(now) {
+            if let Some(command) = self.carry_out(request, now, hard) {
+                return Step::Command(command);
+            }
+        }
         loop {
             match self.etch.poll(now) {
                 soft::Step::Command(command) => return Step::Command(command),
                 soft::Step::Exception(exception) => self.raise_soft(&exception, now),
-                soft::Step::SleepUntil(instant) => return Step::SleepUntil(instant),
+                soft::Step::SleepUntil(instant) => {
+                    return Step::SleepUntil(instant.min(self.services.next_wakeup()));
+                }
             }
         }
+    }
+
+    fn carry_out(
+        &mut self,
+        request: Request,
+        now: Instant,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Option<Command> {
+        let submitted = match request {
+            Request::SendUrgent(frame) => self.etch.submit_urgent(now, SERVICES, frame),
+            Request::Send(frame) => {
+                let forever = Instant::FAR_FUTURE;
+                let outgoing = Outgoing { tag: SERVICES, frame, deadline: forever, expires_at: forever };
+                self.etch.submit_non_real_time(now, outgoing)
+            }
+            Request::Withdraw(frame) => {
+                let [_, command] =
+                    self.etch.recall(|outgoing| outgoing.tag == SERVICES && outgoing.frame == frame);
+                Ok(command)
+            }
+            Request::Clock(clock) => {
+                hard.with(|buffers| buffers.set_clock(clock));
+                Ok(None)
+            }
+            Request::Inhibit(inhibited) => {
+                hard.with(|buffers| buffers.inhibit(inhibited));
+                Ok(None)
+            }
+            Request::TxNode(tx_node) => {
+                self.tx_node = tx_node;
+                self.layer.set_tx_node(tx_node);
+                Ok(None)
+            }
+            Request::Bound(subject, etag) => {
+                if self.layer.bind(subject, etag).is_err() {
+                    self.raise(Some(subject), ExceptionKind::BindingRefused, now);
+                }
+                Ok(None)
+            }
+            Request::Exception(subject, kind) => {
+                self.raise(subject, kind, now);
+                Ok(None)
+            }
+        };
+        submitted.unwrap_or_else(|soft::Full| {
+            self.raise(None, ExceptionKind::TransmitQueueFull, now);
+            None
+        })
     }
 
     /// Fetches the oldest exception.

@@ -15,11 +15,13 @@ extern crate std;
 
 pub mod calendar;
 pub mod can;
-pub mod event_half;
+mod event_half;
 pub mod event_layer;
 pub mod network;
 pub mod protocol;
+pub mod services;
 pub mod time;
 pub mod uid;
 
+pub use event_half::{Delivered, EventHalf, HardAccess, Step};
 pub use uid::{NodeUid, Subject};

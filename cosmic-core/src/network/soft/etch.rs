@@ -1,6 +1,6 @@
 //! The event-triggered channel handler: earliest deadline first by the priority field.
 
-use super::lane::{Attended, Entry, Exception, Lane, Outgoing, Tag};
+use super::lane::{Attended, Departure, Entry, Exception, Lane, Outgoing, Tag};
 use crate::can::{BitRate, Command, Frame, Id, Mailbox, Outcome, Payload, Priority};
 use crate::time::{Duration, Instant};
 
@@ -180,24 +180,26 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         self.non_real_time.push(key, entry).map(|()| None).map_err(|_| self.refuse())
     }
 
-    /// Gives up all events of a source that have not been sent. O(SOFT² + NRT²); at most one command for
-    /// each mailbox.
-    pub fn recall(&mut self, tag: Tag) -> [Option<Command>; 2] {
-        [self.soft.recall(tag), self.non_real_time.recall(tag)]
+    /// Gives up events that have not been sent. O(SOFT² + NRT²); at most one command for each mailbox.
+    pub fn recall(&mut self, which: impl Fn(&Outgoing) -> bool) -> [Option<Command>; 2] {
+        [self.soft.recall(&which), self.non_real_time.recall(&which)]
     }
 
-    /// A mailbox of this path has become empty. Returns what the publisher must be told.
-    pub fn on_outcome(&mut self, mailbox: Mailbox, outcome: Outcome, at: Instant) -> Option<Exception> {
+    /// A mailbox of this path has become empty.
+    pub fn on_outcome(&mut self, mailbox: Mailbox, outcome: Outcome, at: Instant) -> Departure {
+        let departure = match mailbox {
+            Mailbox::Hard => return Departure::default(),
+            Mailbox::Soft => self.soft.on_outcome(outcome, at),
+            Mailbox::NonRealTime => self.non_real_time.on_outcome(outcome, at),
+        };
         match outcome {
             Outcome::Sent => self.counters.sent = self.counters.sent.wrapping_add(1),
             Outcome::Withdrawn => self.counters.withdrawn = self.counters.withdrawn.wrapping_add(1),
         }
-        let exception = match mailbox {
-            Mailbox::Hard => None,
-            Mailbox::Soft => self.soft.on_outcome(outcome, at),
-            Mailbox::NonRealTime => self.non_real_time.on_outcome(outcome, at),
-        };
-        exception.inspect(|exception| self.count(exception))
+        if let Some(exception) = &departure.exception {
+            self.count(exception);
+        }
+        departure
     }
 
     /// What is to be done now: at most one withdrawal, load or report a call, O(SOFT + NRT).

@@ -43,6 +43,16 @@ pub enum ExceptionKind {
     Expired,
 }
 
+/// What became of the event that was in a mailbox.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Departure {
+    /// It was sent.
+    pub sent: Option<Outgoing>,
+    /// The publisher must be told of this.
+    pub exception: Option<Exception>,
+}
+
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entry {
     pub(super) outgoing: Outgoing,
@@ -171,13 +181,13 @@ impl<const N: usize> Lane<N> {
         Some(Command::Withdraw(self.mailbox))
     }
 
-    /// Removes the events of a source that have not been sent: from the queue at once, from the mailbox
-    /// by the command that is returned. O(N²), and O(N) for one event.
-    pub(super) fn recall(&mut self, tag: Tag) -> Option<Command> {
-        while self.queue.take_where(|entry| entry.outgoing.tag == tag).is_some() {}
+    /// Removes events that have not been sent: from the queue at once, from the mailbox by the command
+    /// that is returned. O(N²), and O(N) for one event.
+    pub(super) fn recall(&mut self, which: impl Fn(&Outgoing) -> bool) -> Option<Command> {
+        while self.queue.take_where(|entry| which(&entry.outgoing)).is_some() {}
         match self.content {
-            Content::Loaded(loaded) if loaded.entry.outgoing.tag == tag => self.withdraw_and(AndThen::Forget),
-            Content::Withdrawing(loaded, _) if loaded.entry.outgoing.tag == tag => {
+            Content::Loaded(loaded) if which(&loaded.entry.outgoing) => self.withdraw_and(AndThen::Forget),
+            Content::Withdrawing(loaded, _) if which(&loaded.entry.outgoing) => {
                 self.content = Content::Withdrawing(loaded, AndThen::Forget);
                 None
             }
@@ -186,27 +196,32 @@ impl<const N: usize> Lane<N> {
     }
 
     /// The mailbox has become empty.
-    pub(super) fn on_outcome(&mut self, outcome: Outcome, at: Instant) -> Option<Exception> {
+    pub(super) fn on_outcome(&mut self, outcome: Outcome, at: Instant) -> Departure {
         let (loaded, then) = match self.content {
-            Content::Empty => return None,
+            Content::Empty => return Departure::default(),
             Content::Loaded(loaded) => (loaded, AndThen::Requeue),
             Content::Withdrawing(loaded, then) => (loaded, then),
         };
         self.content = Content::Empty;
+        let mut departure = Departure::default();
         match (outcome, then) {
             (Outcome::Sent, _) => {
-                let late = !loaded.entry.reported && at > loaded.entry.outgoing.deadline;
-                late.then(|| loaded.entry.exception(ExceptionKind::MissedDeadline))
+                departure.sent = Some(loaded.entry.outgoing);
+                if !loaded.entry.reported && at > loaded.entry.outgoing.deadline {
+                    departure.exception = Some(loaded.entry.exception(ExceptionKind::MissedDeadline));
+                }
             }
             (Outcome::Withdrawn, AndThen::Requeue) => {
                 self.attention_at = self.attention_at.min(loaded.entry.attention_at());
                 // There is room: `push` counts the mailbox.
                 let _ = self.queue.put_back(loaded.key, loaded.order, loaded.entry);
-                None
             }
-            (Outcome::Withdrawn, AndThen::Expire) => Some(loaded.entry.exception(ExceptionKind::Expired)),
-            (Outcome::Withdrawn, AndThen::Forget) => None,
+            (Outcome::Withdrawn, AndThen::Expire) => {
+                departure.exception = Some(loaded.entry.exception(ExceptionKind::Expired));
+            }
+            (Outcome::Withdrawn, AndThen::Forget) => {}
         }
+        departure
     }
 
     /// Is anything to be reported or discarded by now?

@@ -1,0 +1,97 @@
+//! Clock synchronisation as a service of a node.
+
+use super::{Request, Services};
+use crate::calendar::Calendar;
+use crate::can::{Frame, TxNode};
+use crate::time::sync::{ClockEvent, ClockSync, SyncConfig, SyncConfigError, SyncCounters};
+use crate::time::{GlobalClock, Instant};
+
+/// Clock synchronisation alone: for a cluster whose ids and etags are all fixed.
+#[derive(Clone, Debug)]
+pub struct ClockService {
+    sync: ClockSync,
+    /// What the time-triggered half was told last.
+    told: Option<GlobalClock>,
+    inhibited: bool,
+    last_event: Option<ClockEvent>,
+}
+
+impl ClockService {
+    /// Takes part with this TxNode and calendar; `config` says the rest.
+    ///
+    /// # Errors
+    /// The first setting that is refused.
+    pub fn new(
+        config: SyncConfig,
+        calendar: &Calendar,
+        tx_node: Option<TxNode>,
+        now: Instant,
+    ) -> Result<Self, SyncConfigError> {
+        let config = SyncConfig { calendar_digest: calendar.digest(), ..config };
+        let mut sync = match ClockSync::new(config, now) {
+            Ok(sync) => sync,
+            Err(error) => return Err(error),
+        };
+        sync.set_tx_node(tx_node);
+        Ok(Self { sync, told: None, inhibited: false, last_event: None })
+    }
+
+    /// The clock as of the last call.
+    pub const fn clock(&self) -> GlobalClock {
+        self.sync.clock()
+    }
+
+    /// Is this node the master?
+    pub const fn is_master(&self) -> bool {
+        self.sync.is_master()
+    }
+
+    /// The node has been given its TxNode, or lost it.
+    pub fn set_tx_node(&mut self, tx_node: Option<TxNode>) {
+        self.sync.set_tx_node(tx_node);
+    }
+
+    /// The latest change of master, or what else happened to the clock; once.
+    pub fn take_event(&mut self) -> Option<ClockEvent> {
+        self.last_event.take()
+    }
+
+    /// What was sent, used, and dropped.
+    pub const fn counters(&self) -> &SyncCounters {
+        self.sync.counters()
+    }
+}
+
+impl Services for ClockService {
+    fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+        self.sync.on_frame(frame, received_at);
+    }
+
+    fn on_sent(&mut self, frame: &Frame, sent_at: Instant) {
+        self.sync.on_sent(frame, sent_at);
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Request> {
+        if let Some(frame) = self.sync.poll(now) {
+            return Some(Request::SendUrgent(frame));
+        }
+        while let Some(event) = self.sync.poll_event() {
+            self.last_event = Some(event);
+        }
+        let clock = self.sync.clock();
+        if self.told != Some(clock) {
+            self.told = Some(clock);
+            return Some(Request::Clock(clock));
+        }
+        let mismatch = self.sync.has_calendar_mismatch();
+        if self.inhibited != mismatch {
+            self.inhibited = mismatch;
+            return Some(Request::Inhibit(mismatch));
+        }
+        None
+    }
+
+    fn next_wakeup(&self) -> Instant {
+        self.sync.next_wakeup()
+    }
+}
