@@ -31,10 +31,9 @@ impl Chance {
         self.0
     }
 
-    /// Does a uniformly drawn number hit?
-    fn hits(self, draw: u64) -> bool {
-        // 2^64 times the probability; 1.0 becomes 2^64, which every draw is below.
-        u128::from(draw) < (self.0 * 18_446_744_073_709_551_616.0) as u128
+    /// What a uniformly drawn 64-bit number is below with this probability: 2^64 for 1.
+    const fn threshold(self) -> u128 {
+        (self.0 * 18_446_744_073_709_551_616.0) as u128
     }
 }
 
@@ -99,8 +98,8 @@ pub struct Rule {
 #[derive(Clone, Debug)]
 pub struct FaultModel {
     random: Pcg64Mcg,
-    inversion: Chance,
-    omission: Chance,
+    inversion_below: u128,
+    omission_below: u128,
     rules: Vec<Rule>,
     upcoming: Draws,
 }
@@ -115,13 +114,13 @@ impl FaultModel {
     pub fn seeded(seed: u64) -> Self {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
         let upcoming = Draws::draw(&mut random);
-        Self { random, inversion: Chance::NEVER, omission: Chance::NEVER, rules: Vec::new(), upcoming }
+        Self { random, inversion_below: 0, omission_below: 0, rules: Vec::new(), upcoming }
     }
 
     /// Each frame is destroyed with this chance, independently, by an inverted bit drawn uniformly.
     #[must_use]
     pub const fn with_inversion(mut self, chance: Chance) -> Self {
-        self.inversion = chance;
+        self.inversion_below = chance.threshold();
         self
     }
 
@@ -129,7 +128,7 @@ impl FaultModel {
     /// sent again.
     #[must_use]
     pub const fn with_omission(mut self, chance: Chance) -> Self {
-        self.omission = chance;
+        self.omission_below = chance.threshold();
         self
     }
 
@@ -169,9 +168,9 @@ impl FaultModel {
     }
 
     fn by_chance(&self, draws: &Draws) -> Option<Fault> {
-        if self.inversion.hits(draws.inversion) {
+        if u128::from(draws.inversion) < self.inversion_below {
             Some(Fault::Inverted(BitPosition::Drawn))
-        } else if self.omission.hits(draws.omission) {
+        } else if u128::from(draws.omission) < self.omission_below {
             Some(Fault::InconsistentOmission {
                 victims: Victims::Drawn,
                 transmitter: Transmitter::Retransmits,

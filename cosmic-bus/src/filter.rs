@@ -61,10 +61,12 @@ impl Filters {
         Self(Vec::new())
     }
 
-    /// Does `frame` pass? Looks at the filters in turn until one matches.
+    /// Does `frame` pass? Looks at the filters in turn, some at once, until one matches.
     #[inline]
     pub fn accept(&self, frame: &WireFrame) -> bool {
-        self.0.iter().any(|filter| filter.matches(frame))
+        // Without a branch for each the compiler compares several in one instruction.
+        let any = |some: &[Filter]| some.iter().fold(false, |any, filter| any | filter.matches(frame));
+        self.0.chunks(AT_ONCE).any(any)
     }
 }
 
@@ -73,6 +75,8 @@ impl FromIterator<Filter> for Filters {
         Self(filters.into_iter().collect())
     }
 }
+
+const AT_ONCE: usize = 8;
 
 #[cfg(test)]
 mod tests {

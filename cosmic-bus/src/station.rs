@@ -43,7 +43,6 @@ pub(crate) struct Loaded {
 
 #[derive(Debug)]
 pub(crate) struct Station {
-    pub(crate) name: String,
     pub(crate) mailboxes: [Option<Loaded>; MAILBOXES],
     pub(crate) filters: Filters,
     pub(crate) errors: ErrorState,
@@ -56,9 +55,8 @@ pub(crate) struct Station {
 }
 
 impl Station {
-    pub(crate) fn new(name: String, now: VirtualInstant) -> Self {
+    pub(crate) fn new(now: VirtualInstant) -> Self {
         Self {
-            name,
             mailboxes: [const { None }; MAILBOXES],
             filters: Filters::accept_all(),
             errors: ErrorState::NEW,

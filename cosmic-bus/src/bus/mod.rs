@@ -49,6 +49,7 @@ pub struct Bus {
     bit_rate: BitRate,
     now: VirtualInstant,
     faults: FaultModel,
+    names: Vec<String>,
     stations: Vec<Station>,
     /// What each station would send next, apart from the rest of it because each arbitration looks at all.
     contenders: Vec<Contender>,
@@ -75,6 +76,7 @@ impl Bus {
             bit_rate,
             now: EPOCH,
             faults,
+            names: Vec::new(),
             stations: Vec::new(),
             contenders: Vec::new(),
             on_the_wire: None,
@@ -92,7 +94,8 @@ impl Bus {
     /// Attaches a station: connected, error active, mailboxes empty, accepting all frames.
     pub fn attach(&mut self, name: impl Into<String>) -> StationId {
         let id = StationId(self.stations.len() as u32);
-        self.stations.push(Station::new(name.into(), self.now));
+        self.names.push(name.into());
+        self.stations.push(Station::new(self.now));
         self.contenders.push(Contender::NONE);
         id
     }
@@ -104,7 +107,7 @@ impl Bus {
 
     /// The name of a station.
     pub fn name(&self, station: StationId) -> &str {
-        &self.stations[station.index()].name
+        &self.names[station.index()]
     }
 
     /// The bit rate.
@@ -164,7 +167,7 @@ impl Bus {
         let bits = frame.bit_count();
         *slot = Some(Loaded { frame, bits, failures: 0, withdrawal_requested: false });
         self.record(self.now, || TraceKind::Load { station, mailbox, frame });
-        self.reconsider(station);
+        self.consider(station);
         Ok(())
     }
 

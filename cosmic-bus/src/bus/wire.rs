@@ -131,16 +131,29 @@ impl Bus {
         })
     }
 
-    /// The mailboxes of a station, or its right to send, have changed.
+    /// A station has one frame more: it can only make the next start earlier.
+    pub(super) fn consider(&mut self, station: StationId) {
+        let contender = self.contender(station);
+        self.contenders[station.index()] = contender;
+        if self.on_the_wire.is_none() && contender.from < FAR_FUTURE {
+            let start = contender.from.max(self.free_from).max(self.now);
+            self.next_start = Some(self.next_start.map_or(start, |next| next.min(start)));
+        }
+    }
+
+    /// The mailboxes of a station, or its right to send, have changed. Looks at all stations.
     pub(super) fn reconsider(&mut self, station: StationId) {
-        let state = &self.stations[station.index()];
-        self.contenders[station.index()] = match state.first_mailbox() {
-            Some((arbitration, _)) => {
-                Contender { rank: u64::from(arbitration.raw()), from: state.sends_from }
-            }
-            None => Contender::NONE,
-        };
+        self.contenders[station.index()] = self.contender(station);
         self.reconsider_start();
+    }
+
+    fn contender(&self, station: StationId) -> Contender {
+        let state = &self.stations[station.index()];
+        let first = state.first_mailbox();
+        first.map_or(Contender::NONE, |(arbitration, _)| Contender {
+            rank: u64::from(arbitration.raw()),
+            from: state.sends_from,
+        })
     }
 
     /// When the next frame starts, if nothing is on the wire.
@@ -156,19 +169,25 @@ impl Bus {
     /// Arbitration: of the stations that start now, the smallest arbitration field goes on.
     fn start(&mut self, start: VirtualInstant) {
         self.interrupt_recoveries(start);
-        let (mut best, mut contenders) = (u64::MAX, 0);
-        for contender in self.contenders.iter().filter(|contender| contender.from <= start) {
-            best = best.min(contender.rank);
-            contenders += 1;
-        }
         let mut senders = core::mem::take(&mut self.spare_senders);
+        let (mut best, mut contenders) = (u64::MAX, 0);
         for (at, contender) in self.contenders.iter().enumerate() {
-            if contender.rank == best
-                && contender.from <= start
-                && let Some((_, mailbox)) = self.stations[at].first_mailbox()
-            {
+            if contender.from > start {
+                continue;
+            }
+            contenders += 1;
+            if contender.rank < best {
+                best = contender.rank;
+                senders.clear();
+            }
+            if contender.rank == best {
+                let mailbox = NOT_YET_KNOWN;
                 senders.push(Sender { station: StationId(at as u32), mailbox, has_given_up: false });
             }
+        }
+        for sender in &mut senders {
+            let first = self.stations[sender.station.index()].first_mailbox();
+            sender.mailbox = first.map_or(NOT_YET_KNOWN, |(_, mailbox)| mailbox);
         }
         let Some(transmission) = self.settle(start, senders) else { return };
         let (number, station, frame) = (transmission.number, transmission.station, transmission.frame);
@@ -328,13 +347,16 @@ impl Bus {
             if state.sends_from <= transmission.start && state.errors.level() == ErrorLevel::Passive {
                 state.sends_from = self.free_from + self.bit_rate.bits(SUSPEND_BITS);
             }
-            self.reconsider(*station);
+            self.contenders[station.index()] = self.contender(*station);
         }
         senders.clear();
         self.spare_senders = senders;
         self.reconsider_start();
     }
 }
+
+/// The mailbox of a sender until it has been looked up.
+const NOT_YET_KNOWN: usize = 0;
 
 /// The smallest step of virtual time.
 const JUST_AFTER: NanosDurationU64 = NanosDurationU64::from_ticks(1);
