@@ -27,6 +27,7 @@ mod configuration;
 mod identity;
 mod interest;
 mod status;
+mod sync;
 
 pub use binding::{Answer, GetEtag, Half, SupplyEtag};
 pub use configuration::{
@@ -35,6 +36,7 @@ pub use configuration::{
 pub use identity::{BrokerStatus, NodeIdentity, Probe};
 pub use interest::{Class, Interest, LayoutHash, Lease, Side};
 pub use status::{NodeState, NodeStatus, Uptime};
+pub use sync::{FollowUp, Rank, SyncMessage, SyncSequence};
 
 /// Any control message of configuration, binding and membership.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

@@ -135,6 +135,17 @@ impl GlobalClock {
         Duration::from_ticks(error.as_ticks().saturating_add(grown.unsigned_abs()))
     }
 
+    /// The rate at the local instant `now` is wrong by at most this, either way. `None` if the clock is not
+    /// synchronised.
+    pub const fn rate_error(&self, now: Instant) -> Option<Rate> {
+        if !self.is_synchronised(now) {
+            return None;
+        }
+        let Uncertainty { rate_error, rate_change, .. } = self.uncertainty;
+        let span = Duration::from_ticks(now.signed_since(self.local).unsigned_abs());
+        Some(Rate::from_fraction(rate_error.fraction() as i64 + rate_change.over(span) as i64))
+    }
+
     /// Is anything known of global time at the local instant `now`? How much, tells
     /// [`GlobalClock::accuracy`].
     #[inline]

@@ -12,6 +12,7 @@
 
 mod clock;
 mod rate;
+pub mod sync;
 
 pub use clock::{GlobalClock, Uncertainty};
 pub use rate::{Rate, RateChange};

@@ -1,0 +1,168 @@
+//! What a node must know to take part in clock synchronisation.
+
+use crate::protocol::Rank;
+use crate::time::{Duration, Rate, RateChange};
+
+/// Settings of [`ClockSync`](super::ClockSync). All but the rank are the same in all nodes of a segment.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SyncConfig {
+    /// This node's place in the succession of masters; `None`: it never becomes master.
+    pub rank: Option<Rank>,
+    /// The span between two sync frames.
+    pub period: Duration,
+    /// How far the difference of two time-stamps of one frame, the sender's and a receiver's, may be from
+    /// the true difference of their clocks.
+    ///
+    /// For stamps that are late by 0..=d on both sides, and quantised by q, this is d + q. The propagation
+    /// along the cable (5 ns/m) belongs to it, too.
+    pub stamp_error: Duration,
+    /// How far any oscillator is from its nominal frequency.
+    pub max_drift: Rate,
+    /// How fast the frequencies of two oscillators may drift apart: twice that of one.
+    pub max_rate_change: RateChange,
+    /// [`Calendar::digest`](crate::calendar::Calendar::digest), or 0 for a node without calendar.
+    pub calendar_digest: u32,
+}
+
+/// Why settings are refused.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum SyncConfigError {
+    /// The period is outside [`SyncConfig::SHORTEST_PERIOD`]..=[`SyncConfig::LONGEST_PERIOD`].
+    Period,
+    /// The time-stamp error is over a hundredth of the period: choose a longer period.
+    StampError,
+    /// The drift is negative, or so large that rates leave the range of [`Rate`]. 100 parts in 10⁶ are
+    /// accepted; with a smaller time-stamp error or rate change, more.
+    Drift,
+}
+
+impl SyncConfig {
+    /// The shortest period.
+    pub const SHORTEST_PERIOD: Duration = Duration::from_millis(5);
+    /// The longest period.
+    pub const LONGEST_PERIOD: Duration = Duration::from_secs(10);
+
+    /// Usual values: a sync frame every 100 ms, time-stamps of 1.25 µs (an interrupt within 1 µs and a
+    /// timer of 4 MHz), crystals of ±100 parts in 10⁶ that change by 1 in 10⁶ per second. No rank, no
+    /// calendar.
+    pub const DEFAULT: Self = Self {
+        rank: None,
+        period: Duration::from_millis(100),
+        stamp_error: Duration::from_ticks(1_250),
+        max_drift: Rate::from_parts_per_billion(100_000),
+        max_rate_change: RateChange::from_parts_per_billion(2_000),
+        calendar_digest: 0,
+    };
+
+    /// Checks the settings; in a constant, at compile time.
+    ///
+    /// # Errors
+    /// The first setting that is refused.
+    pub const fn check(&self) -> Result<(), SyncConfigError> {
+        let period = self.period.as_ticks();
+        if period < Self::SHORTEST_PERIOD.as_ticks() || period > Self::LONGEST_PERIOD.as_ticks() {
+            return Err(SyncConfigError::Period);
+        }
+        if self.stamp_error.as_ticks() > period / 100 {
+            return Err(SyncConfigError::StampError);
+        }
+        let widest = 4 * self.max_drift.fraction() as i64 + self.takeover_rate_error() as i64;
+        if self.max_drift.fraction() < 0 || widest > Rate::LIMIT.fraction() as i64 {
+            return Err(SyncConfigError::Drift);
+        }
+        Ok(())
+    }
+
+    /// The rate of a master's time scale against any node's local time is within ± this.
+    ///
+    /// A master that has taken over keeps the rate of its predecessor, within two drifts of its own; its
+    /// own and the other node's oscillator make it four.
+    pub(super) const fn rate_limit(&self) -> i32 {
+        4 * self.max_drift.fraction()
+    }
+
+    /// The rate correction that a master may keep from the time when it was a follower, either way.
+    pub(super) const fn master_rate_limit(&self) -> i32 {
+        2 * self.max_drift.fraction()
+    }
+
+    /// A master continues a time scale if it knows its rate this well until the end of the handover.
+    /// Four periods of observation suffice.
+    pub(super) const fn takeover_rate_error(&self) -> i32 {
+        let observed = (2 * self.stamp_error.as_ticks() << 32) / (4 * self.period.as_ticks());
+        observed as i32 + self.max_rate_change.over(self.periods(8 + 5 + Self::HOLDOVER_PERIODS + 1))
+    }
+
+    /// A master that is silent for this long is lost.
+    pub(super) const fn loss_time_out(&self) -> Duration {
+        self.periods(3)
+    }
+
+    /// A candidate without synchronised clock waits this long before it starts a time scale of its own. By
+    /// then every candidate that could have continued the old one has done so, and no node follows it.
+    pub(super) const fn cold_start_time_out(&self) -> Duration {
+        self.periods(8)
+    }
+
+    /// How much longer than the first one this candidate waits: an eighth of a period for each rank.
+    pub(super) const fn rank_delay(&self, rank: Rank) -> Duration {
+        Duration::from_ticks(self.period.as_ticks() / 8 * rank.get() as u64)
+    }
+
+    /// A clock is valid for this long after a synchronisation. Longer than the time-out of the last
+    /// candidate.
+    pub(super) const fn holdover(&self) -> Duration {
+        self.periods(Self::HOLDOVER_PERIODS)
+    }
+
+    /// So long after its start a master's time scale is the only one: a node that heard the old master three
+    /// periods after this one has run out by now, with a period to spare.
+    pub(super) const fn handover(&self) -> Duration {
+        self.periods(Self::HOLDOVER_PERIODS + 1)
+    }
+
+    /// So many periods.
+    pub(super) const fn periods(&self, count: u64) -> Duration {
+        Duration::from_ticks(self.period.as_ticks().saturating_mul(count))
+    }
+
+    const HOLDOVER_PERIODS: u64 = 6;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn usual_values_are_accepted() {
+        const { assert!(SyncConfig::DEFAULT.check().is_ok()) };
+        // 6.25 parts in 10^6 from four periods, 4.0 from 2 s at 2 in 10^6 per second.
+        let takeover = f64::from(SyncConfig::DEFAULT.takeover_rate_error()) / 4294.967_296;
+        assert!((10.2..10.4).contains(&takeover), "{takeover}");
+    }
+
+    #[test]
+    fn each_wrong_setting_is_named() {
+        let good = SyncConfig::DEFAULT;
+        let wrong = [
+            (SyncConfig { period: Duration::from_ticks(0), ..good }, SyncConfigError::Period),
+            (SyncConfig { period: Duration::MAX, ..good }, SyncConfigError::Period),
+            (SyncConfig { stamp_error: Duration::MAX, ..good }, SyncConfigError::StampError),
+            (SyncConfig { max_drift: Rate::LIMIT, ..good }, SyncConfigError::Drift),
+            (SyncConfig { max_drift: Rate::from_fraction(-1), ..good }, SyncConfigError::Drift),
+            (SyncConfig { max_rate_change: RateChange::LIMIT, ..good }, SyncConfigError::Drift),
+        ];
+        for (config, error) in wrong {
+            assert_eq!(config.check(), Err(error));
+        }
+    }
+
+    #[test]
+    fn the_last_candidate_acts_within_the_holdover() {
+        let config = SyncConfig::DEFAULT;
+        let last = config.loss_time_out() + config.rank_delay(Rank::LAST);
+        assert!(last < config.holdover() && config.holdover() < config.cold_start_time_out());
+    }
+}
