@@ -7,19 +7,20 @@
 
 use cosmic_core::can::{BitRate, Command, Frame, Mailbox, Outcome};
 use cosmic_core::time::Instant;
-use heapless::Deque;
+use heapless::Vec;
 
 /// The controller of a node, its bus, and a peer.
 pub struct Controller {
     bit_rate: BitRate,
     mailboxes: [Option<Frame>; 3],
-    peer: Deque<Frame, 16>,
+    peer: Vec<Frame, 16>,
     wire: Option<OnWire>,
 }
 
 #[derive(Clone, Copy)]
 struct OnWire {
     from: Sender,
+    frame: Frame,
     until: Instant,
 }
 
@@ -46,7 +47,7 @@ pub struct Sent {
 impl Controller {
     /// An idle bus.
     pub const fn new(bit_rate: BitRate) -> Self {
-        Self { bit_rate, mailboxes: [None; 3], peer: Deque::new(), wire: None }
+        Self { bit_rate, mailboxes: [None; 3], peer: Vec::new(), wire: None }
     }
 
     /// Carries a command out. A frame that is withdrawn while it waits has its outcome at once; one that
@@ -72,12 +73,12 @@ impl Controller {
         }
     }
 
-    /// The peer wants to send a frame, after those it wanted to send before.
+    /// The peer wants to send a frame.
     ///
     /// # Panics
     /// If more than 16 wait.
     pub fn peer_sends(&mut self, frame: Frame, now: Instant) {
-        assert!(self.peer.push_back(frame).is_ok(), "too many frames of the peer");
+        assert!(self.peer.push(frame).is_ok(), "too many frames of the peer");
         self.start(now);
     }
 
@@ -89,12 +90,10 @@ impl Controller {
     /// The frame that has ended by `now`, if any; the next one has started then. Call it until there is
     /// none.
     pub fn advance(&mut self, now: Instant) -> Option<Sent> {
-        let OnWire { from, until } = self.wire.filter(|wire| wire.until <= now)?;
-        self.wire = None;
-        let frame = match from {
-            Sender::Mailbox(mailbox) => self.mailboxes[mailbox as usize].take(),
-            Sender::Peer => self.peer.pop_front(),
-        }?;
+        let OnWire { from, frame, until } = self.wire.take_if(|wire| wire.until <= now)?;
+        if let Sender::Mailbox(mailbox) = from {
+            self.mailboxes[mailbox as usize] = None;
+        }
         self.start(until);
         Some(Sent { from, frame, at: until })
     }
@@ -106,11 +105,16 @@ impl Controller {
         }
         let own = Mailbox::ALL
             .into_iter()
-            .filter_map(|mailbox| Some((self.mailboxes[mailbox as usize]?, Sender::Mailbox(mailbox))));
-        let peer = self.peer.front().map(|frame| (*frame, Sender::Peer));
-        self.wire = own.chain(peer).min_by_key(|(frame, _)| frame.id).map(|(frame, from)| OnWire {
-            from,
-            until: at + self.bit_rate.longest_frame(frame.payload.len()),
-        });
+            .filter_map(|mailbox| Some((self.mailboxes[mailbox as usize]?, Sender::Mailbox(mailbox))))
+            .min_by_key(|(frame, _)| frame.id);
+        let of_peer = (0..self.peer.len()).min_by_key(|&place| self.peer[place].id);
+        let (frame, from) = match (own, of_peer) {
+            (Some(own), Some(place)) if own.0.id < self.peer[place].id => own,
+            (_, Some(place)) => (self.peer.remove(place), Sender::Peer),
+            (Some(own), None) => own,
+            (None, None) => return,
+        };
+        let until = at + self.bit_rate.longest_frame(frame.payload.len());
+        self.wire = Some(OnWire { from, frame, until });
     }
 }

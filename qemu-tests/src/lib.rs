@@ -12,6 +12,7 @@
 pub mod controller;
 pub mod count;
 pub mod device;
+pub mod hardware;
 pub mod mono;
 
 pub use cortex_m_semihosting::{heprintln as measured, hprintln as println};

@@ -53,6 +53,17 @@ impl Mono {
     }
 }
 
+/// The time, as the core wants it.
+pub fn now() -> cosmic_core::time::Instant {
+    let nanoseconds = Mono::now().as_ticks() * NANOSECONDS_PER_TICK;
+    cosmic_core::time::Instant::from_epoch(cosmic_core::time::Duration::from_ticks(nanoseconds))
+}
+
+/// The first instant of the timer that is not before one of the core's.
+pub fn instant(of_core: cosmic_core::time::Instant) -> Instant {
+    Instant::from_ticks(of_core.since_epoch().as_ticks().div_ceil(NANOSECONDS_PER_TICK))
+}
+
 impl TimerQueueBasedMonotonic for Mono {
     type Backend = Backend;
     type Instant = Instant;
@@ -111,6 +122,8 @@ impl TimerQueueBackend for Backend {
 /// Ends a test that has lost its way: a program that sleeps for ever would otherwise run for ever. In
 /// an idle machine virtual time leaps, so this takes seconds of the host.
 const LONGEST_TEST_PERIODS: u32 = 100;
+
+const NANOSECONDS_PER_TICK: u64 = 1_000_000_000 / SYSTEM_CLOCK_HZ as u64;
 
 const HIGHEST: u8 = 1 << NVIC_PRIO_BITS;
 
