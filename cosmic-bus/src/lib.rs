@@ -13,6 +13,7 @@
 mod accounting;
 mod bits;
 mod bus;
+pub mod cluster;
 mod confinement;
 mod course;
 mod event;

@@ -278,6 +278,12 @@ impl<const N: usize> HrtBuffers<N> {
         Some(self.buffer(id.0)?.counters)
     }
 
+    /// The present copy of the clock's parameters.
+    #[inline]
+    pub const fn clock(&self) -> &GlobalClock {
+        &self.clock
+    }
+
     /// A new copy of the clock's parameters.
     pub fn set_clock(&mut self, clock: GlobalClock) {
         self.clock = clock;
@@ -314,22 +320,27 @@ impl<const N: usize> HrtBuffers<N> {
         }
     }
 
-    /// The HRT mailbox has become empty.
-    pub fn on_outcome(&mut self, outcome: Outcome, at: Instant) {
+    /// The HRT mailbox has become empty. Returns the buffer if the event layer must hear of it: the event
+    /// was not sent.
+    pub fn on_outcome(&mut self, outcome: Outcome, at: Instant) -> Option<BufferId> {
         let loaded = match self.mailbox {
             HardMailbox::Loaded(buffer) | HardMailbox::Withdrawing(buffer) => buffer,
-            HardMailbox::Empty => return,
+            HardMailbox::Empty => return None,
         };
         self.mailbox = HardMailbox::Empty;
-        let Some(buffer) = self.buffer_mut(loaded) else { return };
+        let buffer = self.buffer_mut(loaded)?;
         match outcome {
             Outcome::Sent => {
                 buffer.counters.sent = buffer.counters.sent.wrapping_add(1);
                 if buffer.role.subscribes {
                     buffer.arrived(buffer.in_mailbox, at);
                 }
+                None
             }
-            Outcome::Withdrawn => buffer.counters.omitted = buffer.counters.omitted.wrapping_add(1),
+            Outcome::Withdrawn => {
+                buffer.counters.omitted = buffer.counters.omitted.wrapping_add(1);
+                Some(BufferId(loaded))
+            }
         }
     }
 
