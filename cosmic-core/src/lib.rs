@@ -13,9 +13,10 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod broker;
 pub mod calendar;
 pub mod can;
-mod event_half;
+pub mod event_half;
 pub mod event_layer;
 pub mod network;
 pub mod protocol;
