@@ -75,7 +75,7 @@ fn recalled() {
     for event in 1..=3 {
         node.submit_soft(event, 1_000, 5_000);
     }
-    for command in node.etch.recall(Tag(1)).into_iter().chain(node.etch.recall(Tag(2))).flatten() {
+    for command in node.etch.recall(|outgoing| outgoing.tag != Tag(3)).into_iter().flatten() {
         node.execute(command);
     }
     node.run_until(3_000);
@@ -149,8 +149,9 @@ impl Node {
             while let Some(Sent { from, frame, at }) = self.controller.advance(self.now) {
                 if let Sender::Mailbox(mailbox) = from {
                     self.print("sent", frame.payload.as_slice()[0]);
-                    let exception = self.etch.on_outcome(mailbox, Outcome::Sent, at);
-                    self.report(exception);
+                    let departure = self.etch.on_outcome(mailbox, Outcome::Sent, at);
+                    assert_eq!(departure.sent.map(|sent| sent.frame.payload), Some(frame.payload));
+                    self.report(departure.exception);
                 }
             }
         }
@@ -177,8 +178,9 @@ impl Node {
             Command::Withdraw(mailbox) => self.print("withdraw from", format_args!("{mailbox:?}")),
         }
         if let Some((mailbox, outcome)) = self.controller.execute(command, self.now) {
-            let exception = self.etch.on_outcome(mailbox, outcome, self.now);
-            self.report(exception);
+            let departure = self.etch.on_outcome(mailbox, outcome, self.now);
+            assert_eq!(departure.sent, None);
+            self.report(departure.exception);
         }
     }
 
@@ -229,7 +231,7 @@ fn measure() {
             let loaded = etch.submit_soft(now, outgoing(Priority::LEAST, 1, 1_000, 2_000));
             assert!(matches!(loaded, Ok(Some(_))));
             let _ = black_box(etch.poll(now));
-            assert!(etch.on_outcome(Mailbox::Soft, Outcome::Sent, now).is_none());
+            assert!(etch.on_outcome(Mailbox::Soft, Outcome::Sent, now).sent.is_some());
             let _ = black_box(etch.poll(now));
         }),
     );
@@ -248,7 +250,7 @@ fn measure() {
         "soft event behind 63 others: submit, sent, load",
         count::instructions(|| {
             assert!(matches!(etch.submit_soft(now, outgoing(Priority::LEAST, 1, 1_000, 2_000)), Ok(None)));
-            assert!(etch.on_outcome(Mailbox::Soft, Outcome::Sent, now).is_none());
+            assert!(etch.on_outcome(Mailbox::Soft, Outcome::Sent, now).sent.is_some());
             assert!(matches!(etch.poll(now), Step::Command(Command::Load(..))));
         }),
     );
