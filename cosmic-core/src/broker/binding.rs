@@ -1,0 +1,324 @@
+//! The binding client: from subjects to the etags of their channels.
+//!
+//! One subject is asked for at a time; the others wait their turn. An answer counts no matter who asked,
+//! because a subject has one etag on the whole segment. The broker may bind a subject anew, when two
+//! parts of a bus that was cut come together again; then the node is told both etags.
+
+use super::Output;
+use super::halves::{Halves, Supply};
+use super::jitter::Jitter;
+use crate::can::{Etag, Frame, TxNode};
+use crate::protocol::{Answer, GetEtag, Probe, SupplyEtag};
+use crate::time::{Duration, Instant};
+use crate::uid::Subject;
+
+/// The spans of the binding client.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct BindingTiming {
+    /// How long an answer of the broker may take; doubled by each failure, up to 32 times.
+    pub reply: Duration,
+    /// How long a node waits after a refusal until it asks again.
+    pub refused: Duration,
+}
+
+impl BindingTiming {
+    /// For a segment of 125 kbit/s and faster.
+    pub const DEFAULT: Self = Self { reply: Duration::from_millis(30), refused: Duration::from_secs(2) };
+}
+
+/// What the node is told.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BindingEvent {
+    /// The channel of this subject has this etag.
+    Bound {
+        /// The subject.
+        subject: Subject,
+        /// Its etag.
+        etag: Etag,
+    },
+    /// The channel has a new etag; the old one may belong to another subject.
+    Rebound {
+        /// The subject.
+        subject: Subject,
+        /// Its etag until now.
+        old: Etag,
+        /// Its etag from now on.
+        new: Etag,
+    },
+    /// The broker has no etag left. The node asks again after [`BindingTiming::refused`].
+    Refused {
+        /// The subject.
+        subject: Subject,
+    },
+}
+
+/// There is no room for another subject.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct BindingFull;
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum State {
+    Wanted,
+    Refused { until: Instant },
+    Bound(Etag),
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    subject: Subject,
+    state: State,
+    /// What the node has not been told yet.
+    untold: Option<BindingEvent>,
+}
+
+/// The request that is out.
+#[derive(Clone, Copy, Debug)]
+struct Asked {
+    subject: Subject,
+    frame: Frame,
+    until: Instant,
+}
+
+/// The binding client of one node, for up to `N` subjects; its contract is that of [`crate::broker`].
+///
+/// Every call takes O(`N`).
+#[derive(Clone, Debug)]
+pub struct Binding<const N: usize> {
+    entries: [Option<Entry>; N],
+    tx_node: Option<TxNode>,
+    timing: BindingTiming,
+    jitter: Jitter,
+    halves: Halves,
+    asked: Option<Asked>,
+    /// The entry whose turn is next.
+    turn: usize,
+    failures: u8,
+    void: Option<Frame>,
+    send: Option<Frame>,
+    /// The entry whose binding is claimed next, after a probe.
+    claim: Option<usize>,
+    second_half: Option<Frame>,
+}
+
+impl<const N: usize> Binding<N> {
+    /// A client that knows no subject yet. It is silent until it has a TxNode. `noise` as in
+    /// [`Configuration::new`](super::Configuration::new).
+    pub const fn new(noise: u64, timing: BindingTiming) -> Self {
+        const { assert!(N > 0, "room for at least one subject") };
+        Self {
+            entries: [None; N],
+            tx_node: None,
+            timing,
+            jitter: Jitter::new(noise),
+            halves: Halves::new(),
+            asked: None,
+            turn: 0,
+            failures: 0,
+            void: None,
+            send: None,
+            claim: None,
+            second_half: None,
+        }
+    }
+
+    /// The node has this TxNode from now on, or none.
+    pub fn set_tx_node(&mut self, tx_node: Option<TxNode>) {
+        if self.tx_node != tx_node {
+            self.tx_node = tx_node;
+            self.end_request();
+            (self.claim, self.second_half) = (None, None);
+        }
+    }
+
+    /// Asks for the etag of `subject`; the answer comes as an event, also if it is known already.
+    ///
+    /// # Errors
+    /// When `N` other subjects are in use.
+    pub fn bind(&mut self, subject: Subject) -> Result<(), BindingFull> {
+        let entry = self.entry(subject)?;
+        if let State::Bound(etag) = entry.state {
+            entry.untold = Some(BindingEvent::Bound { subject, etag });
+        }
+        Ok(())
+    }
+
+    /// The etag of `subject` is fixed, or was learned before; nobody is asked.
+    ///
+    /// # Errors
+    /// When `N` other subjects are in use.
+    pub fn assume(&mut self, subject: Subject, etag: Etag) -> Result<(), BindingFull> {
+        self.entry(subject)?.state = State::Bound(etag);
+        Ok(())
+    }
+
+    /// The node no longer uses `subject`.
+    pub fn forget(&mut self, subject: Subject) {
+        if self.asked.is_some_and(|asked| asked.subject == subject) {
+            self.end_request();
+        }
+        for place in &mut self.entries {
+            if place.is_some_and(|entry| entry.subject == subject) {
+                *place = None;
+            }
+        }
+    }
+
+    /// The etag of `subject`, if it is known.
+    pub fn etag_of(&self, subject: Subject) -> Option<Etag> {
+        self.entries.iter().flatten().find(|entry| entry.subject == subject).and_then(|entry| {
+            match entry.state {
+                State::Bound(etag) => Some(etag),
+                State::Wanted | State::Refused { .. } => None,
+            }
+        })
+    }
+
+    /// Takes a received frame.
+    pub fn on_frame(&mut self, now: Instant, frame: &Frame) {
+        match frame.id.etag() {
+            Etag::SUPPLY_ETAG => {
+                let half = SupplyEtag::decode(frame);
+                if let Some(supply) = half.and_then(|half| self.halves.join(half)) {
+                    self.on_supply(now, supply);
+                }
+            }
+            Etag::PROBE if Probe::decode(frame).is_some() && self.tx_node.is_some() => self.claim = Some(0),
+            _ => {}
+        }
+    }
+
+    /// What is to be done now; call until it returns `None`.
+    pub fn poll(&mut self, now: Instant) -> Option<Output<BindingEvent>> {
+        if self.asked.is_some_and(|asked| now >= asked.until) {
+            self.failures = self.failures.saturating_add(1);
+            self.end_request();
+        }
+        if let Some(frame) = self.void.take() {
+            return Some(Output::Withdraw(frame));
+        }
+        if let Some(event) = self.entries.iter_mut().flatten().find_map(|entry| entry.untold.take()) {
+            return Some(Output::Event(event));
+        }
+        let tx_node = self.tx_node?;
+        if self.asked.is_none() {
+            self.ask_next(now, tx_node);
+        }
+        self.send.take().or_else(|| self.next_claim(tx_node)).map(Output::Send)
+    }
+
+    /// When `poll` must be called even if no frame arrives.
+    pub fn next_wakeup(&self) -> Option<Instant> {
+        if self.asked.is_some() {
+            return self.asked.map(|asked| asked.until);
+        }
+        let retry = |entry: &Entry| match entry.state {
+            State::Refused { until } => Some(until),
+            State::Wanted | State::Bound(_) => None,
+        };
+        self.entries.iter().flatten().filter_map(retry).min()
+    }
+
+    fn entry(&mut self, subject: Subject) -> Result<&mut Entry, BindingFull> {
+        let known = self.entries.iter().position(|place| place.is_some_and(|entry| entry.subject == subject));
+        let at = known.or_else(|| self.entries.iter().position(Option::is_none)).ok_or(BindingFull)?;
+        let place = self.entries.get_mut(at).ok_or(BindingFull)?;
+        Ok(place.get_or_insert(Entry { subject, state: State::Wanted, untold: None }))
+    }
+
+    fn on_supply(&mut self, now: Instant, supply: Supply) {
+        // Other nodes' claims are for the broker.
+        if supply.sender != TxNode::BROKER {
+            return;
+        }
+        if self.asked.is_some_and(|asked| asked.subject == supply.subject) {
+            self.failures = 0;
+            if Some(supply.requester) == self.tx_node {
+                self.asked = None;
+            } else {
+                self.end_request(); // answered already, before ours was sent
+            }
+        }
+        let until = now + self.jitter.around(self.timing.refused);
+        if let Some(entry) = self.entries.iter_mut().flatten().find(|entry| entry.subject == supply.subject) {
+            entry.take(supply.answer, until);
+        }
+    }
+
+    fn ask_next(&mut self, now: Instant, tx_node: TxNode) {
+        let turn = (0..N).map(|step| (self.turn + step) % N).find(|at| {
+            match self.entries.get(*at).copied().flatten().map(|entry| entry.state) {
+                Some(State::Wanted) => true,
+                Some(State::Refused { until }) => now >= until,
+                Some(State::Bound(_)) | None => false,
+            }
+        });
+        let Some(entry) = turn.and_then(|at| self.entries.get(at).copied().flatten()) else {
+            return;
+        };
+        self.turn = turn.map_or(0, |at| at + 1) % N;
+        let frame = GetEtag { requester: tx_node, subject: entry.subject }.encode();
+        // Of many nodes that got no answer not all ask again at once.
+        let patience = self.timing.reply * (1 << self.failures.min(5));
+        let patience = if self.failures == 0 { patience } else { self.jitter.around(patience) };
+        self.asked = Some(Asked { subject: entry.subject, frame, until: now + patience });
+        self.send = Some(frame);
+    }
+
+    /// The request that is out, if any, has become void.
+    fn end_request(&mut self) {
+        if let Some(asked) = self.asked.take()
+            && self.send.take().is_none()
+        {
+            self.void = Some(asked.frame);
+        }
+    }
+
+    fn next_claim(&mut self, tx_node: TxNode) -> Option<Frame> {
+        if let Some(second) = self.second_half.take() {
+            return Some(second);
+        }
+        let from = self.claim?;
+        let bound = self.entries.iter().enumerate().skip(from).find_map(|(at, place)| {
+            let entry = place.as_ref()?;
+            match entry.state {
+                State::Bound(etag) if etag >= Etag::BOUND_FIRST => Some((at, entry.subject, etag)),
+                _ => None,
+            }
+        });
+        self.claim = bound.map(|(at, ..)| at + 1);
+        let (_, subject, etag) = bound?;
+        let [first, second] =
+            SupplyEtag::pair(tx_node, tx_node, subject, Answer::Bound(etag)).map(|half| half.encode());
+        self.second_half = Some(second);
+        Some(first)
+    }
+}
+
+impl Entry {
+    fn take(&mut self, answer: Answer, retry_at: Instant) {
+        let subject = self.subject;
+        match (self.state, answer) {
+            (State::Bound(old), Answer::Bound(new)) if old != new => {
+                self.state = State::Bound(new);
+                // If the node has not even heard of the old one, the new one is the first.
+                self.untold = Some(match self.untold {
+                    Some(BindingEvent::Bound { .. }) => BindingEvent::Bound { subject, etag: new },
+                    Some(BindingEvent::Rebound { old, .. }) => BindingEvent::Rebound { subject, old, new },
+                    _ => BindingEvent::Rebound { subject, old, new },
+                });
+            }
+            (State::Bound(_), _) => {}
+            (_, Answer::Bound(etag)) => {
+                self.state = State::Bound(etag);
+                self.untold = Some(BindingEvent::Bound { subject, etag });
+            }
+            (_, Answer::Refused) => {
+                self.state = State::Refused { until: retry_at };
+                self.untold = Some(BindingEvent::Refused { subject });
+            }
+        }
+    }
+}

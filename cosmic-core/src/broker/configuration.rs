@@ -1,0 +1,459 @@
+//! The configuration client: from the node's UID to a TxNode that no other node has.
+//!
+//! ```text
+//!            +----------- no answer ------------+
+//!            v                                  |
+//!  start -> Idle --> Asking, stage 15..0 --> Claiming --> Configured
+//!            ^          |        ^              |             |
+//!            |     other prefix  | its end      |             |
+//!            |          v        |              |             |
+//!            |       Waiting ----+              |             |
+//!            +------------- another node has the id ----------+
+//! ```
+//! *Asking*: see [`crate::protocol::ConfigurationRequest`]. *Claiming*: the broker has assigned an id;
+//! before it is used the node says so on the bus, and listens whether some node uses it already. That
+//! catches what a broker cannot know: nodes with a fixed id, two nodes with one UID, a broker that lost
+//! its table. *Configured*: a frame of another sender with this TxNode means a conflict. The node defends
+//! its id by stating its UID, which makes a claiming node go; if the other stays, the one with the higher
+//! UID goes, and both if they have the same UID. That can only be between nodes that were configured
+//! apart, on a bus that was cut in two.
+
+use super::Output;
+use super::jitter::Jitter;
+use super::ring::Ring;
+use crate::can::{Etag, Frame, TxNode};
+use crate::protocol::{
+    ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, NodeIdentity, Prefix, Probe, Release,
+    Stage, names_its_sender,
+};
+use crate::time::{Duration, Instant};
+use crate::uid::NodeUid;
+
+/// The spans of the configuration client.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ConfigurationTiming {
+    /// How long an answer of the broker may take; longer after each failure, up to sixteen times.
+    pub reply: Duration,
+    /// The pause after the first failure; doubled by each further one.
+    pub back_off: Duration,
+    /// The longest pause, also after a refusal.
+    pub longest_back_off: Duration,
+    /// How long another node's search may be silent until we no longer wait for its end.
+    pub search: Duration,
+    /// How long a node listens whether its new id is in use.
+    pub claim: Duration,
+    /// Conflicts within this span count together.
+    pub conflict: Duration,
+}
+
+impl ConfigurationTiming {
+    /// For a segment of 125 kbit/s and faster.
+    pub const DEFAULT: Self = Self {
+        reply: Duration::from_millis(20),
+        back_off: Duration::from_millis(50),
+        longest_back_off: Duration::from_secs(2),
+        search: Duration::from_millis(400),
+        claim: Duration::from_millis(60),
+        conflict: Duration::from_secs(1),
+    };
+}
+
+/// What the node is told.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ConfigurationEvent {
+    /// The node may send with this id.
+    Configured(TxNode),
+    /// The node must no longer send with this id: another node uses it. It asks for a new one by itself,
+    /// or claims the same again if its id is fixed.
+    Lost(TxNode),
+    /// Another node uses our id; at most one event in [`ConfigurationTiming::conflict`].
+    Conflict {
+        /// The id.
+        tx_node: TxNode,
+        /// The other's UID, if it told. Ours, if two nodes have one UID.
+        other: Option<NodeUid>,
+    },
+    /// The broker has no id left. The node asks again after the longest pause.
+    Refused,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum State {
+    /// Nothing is asked until then.
+    Idle { until: Instant },
+    /// The request of this stage is out.
+    Asking { stage: Stage, until: Instant, tries: u8 },
+    /// Another UID is being searched.
+    Waiting { until: Instant },
+    /// Is the id free?
+    Claiming { tx_node: TxNode, claim_at: Instant, claims: u8, until: Instant },
+    /// The id is ours.
+    Configured { tx_node: TxNode, since: Instant },
+    /// The id was given back.
+    Released,
+}
+
+/// Conflicts that count together.
+#[derive(Clone, Copy, Debug)]
+struct Strikes {
+    count: u8,
+    since: Instant,
+}
+
+/// The configuration client of one node; its contract is that of [`crate::broker`].
+///
+/// Every call takes constant time.
+#[derive(Clone, Debug)]
+pub struct Configuration {
+    uid: NodeUid,
+    fixed: Option<TxNode>,
+    timing: ConfigurationTiming,
+    jitter: Jitter,
+    state: State,
+    failures: u8,
+    strikes: Option<Strikes>,
+    // What `poll` hands out: first the request that has become void, then events, then a frame. A newer
+    // frame replaces an older one that nobody has fetched: it makes the older one void.
+    request: Option<Frame>,
+    void: Option<Frame>,
+    events: Ring<ConfigurationEvent, 4>,
+    events_dropped: u16,
+    send: Option<Frame>,
+}
+
+impl Configuration {
+    /// A node without a TxNode, which asks the broker for one.
+    ///
+    /// `noise` is anything that differs between nodes and starts, such as a unique id of the processor or
+    /// the low bits of a timer; zero is allowed. With it two nodes that have one UID by mistake do not
+    /// act in lockstep.
+    pub fn new(now: Instant, uid: NodeUid, noise: u64, timing: ConfigurationTiming) -> Self {
+        let mut jitter = Jitter::new(uid.get() ^ noise.rotate_left(32));
+        let until = now + jitter.below(timing.reply);
+        Self {
+            uid,
+            fixed: None,
+            timing,
+            jitter,
+            state: State::Idle { until },
+            failures: 0,
+            strikes: None,
+            request: None,
+            void: None,
+            events: Ring::new(),
+            events_dropped: 0,
+            send: None,
+        }
+    }
+
+    /// A node whose TxNode is fixed, in a cluster with or without a broker. It claims the id like any
+    /// other.
+    pub fn fixed(
+        now: Instant,
+        uid: NodeUid,
+        tx_node: TxNode,
+        noise: u64,
+        timing: ConfigurationTiming,
+    ) -> Self {
+        let mut new = Self { fixed: Some(tx_node), ..Self::new(now, uid, noise, timing) };
+        new.claim(now, tx_node);
+        new
+    }
+
+    /// The id, while it is ours to use.
+    pub const fn tx_node(&self) -> Option<TxNode> {
+        match self.state {
+            State::Configured { tx_node, .. } => Some(tx_node),
+            _ => None,
+        }
+    }
+
+    /// The node's UID.
+    pub const fn uid(&self) -> NodeUid {
+        self.uid
+    }
+
+    /// Events that were lost because nobody polled.
+    pub const fn events_dropped(&self) -> u16 {
+        self.events_dropped
+    }
+
+    /// Gives the id back to the broker, for good: the node sends nothing behind the frame of this.
+    pub fn release(&mut self) {
+        if let State::Configured { tx_node, .. } | State::Claiming { tx_node, .. } = self.state {
+            self.send = Some(Release { tx_node, uid: self.uid }.encode());
+        }
+        self.withdraw_request();
+        self.state = State::Released;
+    }
+
+    /// Takes a received frame.
+    pub fn on_frame(&mut self, now: Instant, frame: &Frame) {
+        match frame.id.etag() {
+            Etag::CONFIGURATION_REPLY => {
+                if let Some(reply) = ConfigurationReply::decode(frame) {
+                    self.on_reply(now, reply);
+                }
+            }
+            Etag::CONFIGURATION_REFUSAL => {
+                if let Some(refusal) = ConfigurationRefusal::decode(frame) {
+                    self.on_refusal(now, refusal.uid);
+                }
+            }
+            _ if names_its_sender(frame.id) && Some(frame.id.tx_node()) == self.claimed() => {
+                let uid = NodeIdentity::decode(frame).map(|identity| identity.uid);
+                self.on_own_tx_node(now, frame.id.tx_node(), uid);
+            }
+            Etag::PROBE if Probe::decode(frame).is_some() => self.identify(),
+            _ => {}
+        }
+    }
+
+    /// What is to be done now; call until it returns `None`.
+    pub fn poll(&mut self, now: Instant) -> Option<Output<ConfigurationEvent>> {
+        if now >= self.wakes_at().unwrap_or(Instant::FAR_FUTURE) {
+            self.on_time_out(now);
+        }
+        if let Some(frame) = self.void.take() {
+            return Some(Output::Withdraw(frame));
+        }
+        if let Some(event) = self.events.pop() {
+            return Some(Output::Event(event));
+        }
+        self.send.take().map(Output::Send)
+    }
+
+    /// When `poll` must be called even if no frame arrives.
+    pub fn next_wakeup(&self) -> Option<Instant> {
+        self.wakes_at()
+    }
+
+    fn wakes_at(&self) -> Option<Instant> {
+        match self.state {
+            State::Idle { until } | State::Waiting { until } | State::Asking { until, .. } => Some(until),
+            State::Claiming { claim_at, claims: 1.., .. } => Some(claim_at),
+            State::Claiming { until, .. } => Some(until),
+            State::Configured { .. } | State::Released => None,
+        }
+    }
+
+    fn on_time_out(&mut self, now: Instant) {
+        match self.state {
+            State::Idle { .. } => match self.fixed {
+                Some(tx_node) => self.claim(now, tx_node),
+                None => self.ask(now, Stage::FIRST, 1),
+            },
+            State::Waiting { .. } => self.ask(now, Stage::FIRST, 1),
+            State::Asking { stage, tries, .. } if tries < MAX_TRIES => {
+                self.withdraw_request();
+                self.ask(now, stage, tries + 1);
+            }
+            State::Asking { .. } => self.back_off(now),
+            // At no fixed time: the claims of two nodes with one UID would be one frame.
+            State::Claiming { tx_node, claim_at, claims: claims @ 1.., until } => {
+                self.identify();
+                let third = self.third_of_claim();
+                let claim_at =
+                    claim_at + Duration::from_ticks(third.as_ticks() / 2) + self.jitter.below(third);
+                self.state = State::Claiming { tx_node, claim_at, claims: claims - 1, until };
+            }
+            State::Claiming { tx_node, .. } => {
+                self.failures = 0;
+                self.strikes = None;
+                self.state = State::Configured { tx_node, since: now };
+                self.tell(ConfigurationEvent::Configured(tx_node));
+            }
+            State::Configured { .. } | State::Released => {}
+        }
+    }
+
+    fn on_reply(&mut self, now: Instant, reply: ConfigurationReply) {
+        match (self.state, reply) {
+            (State::Released, _) => {}
+            (State::Claiming { tx_node, .. }, ConfigurationReply::Assigned { uid, tx_node: assigned }) => {
+                // The broker does not know us under this id, or a second broker gives it to another node.
+                if uid != self.uid && assigned == tx_node {
+                    self.identify();
+                }
+            }
+            (
+                State::Configured { tx_node, since },
+                ConfigurationReply::Assigned { uid, tx_node: assigned },
+            ) => {
+                self.on_assigned_to_another(now, tx_node, since, uid, assigned);
+            }
+            (State::Claiming { .. } | State::Configured { .. }, _) => {}
+            // A node that pauses takes no part: it failed, or was refused, and gives way to others.
+            (State::Idle { .. }, _) => {}
+            _ if self.fixed.is_some() => {}
+            (_, ConfigurationReply::Assigned { uid, tx_node }) if uid == self.uid => self.claim(now, tx_node),
+            (_, ConfigurationReply::Prefix(prefix)) => self.on_prefix(now, prefix),
+            (_, ConfigurationReply::Assigned { .. } | ConfigurationReply::Restart) => self.begin_again(now),
+        }
+    }
+
+    /// A reply tells which stage comes next: a node with this prefix asks for it, even if it waited or has
+    /// missed some replies; any other has lost.
+    fn on_prefix(&mut self, now: Instant, prefix: Prefix) {
+        self.failures = 0;
+        let Some(next) = prefix.stage().next().filter(|_| prefix.begins(self.uid)) else {
+            self.withdraw_request();
+            self.state = State::Waiting { until: now + self.timing.search };
+            return;
+        };
+        // The same reply twice: the request is out already.
+        if !matches!(self.state, State::Asking { stage, .. } if stage == next) {
+            self.withdraw_request();
+            self.ask(now, next, 1);
+        }
+    }
+
+    fn on_refusal(&mut self, now: Instant, uid: NodeUid) {
+        match self.state {
+            State::Claiming { .. } | State::Configured { .. } | State::Released => {}
+            _ if self.fixed.is_some() => {}
+            _ if uid == self.uid => {
+                self.withdraw_request();
+                self.tell(ConfigurationEvent::Refused);
+                self.state = State::Idle { until: now + self.jitter.around(self.timing.longest_back_off) };
+            }
+            State::Idle { .. } => {}
+            _ => self.begin_again(now),
+        }
+    }
+
+    /// The broker assigns our id to another node, or some id to another node with our UID.
+    fn on_assigned_to_another(
+        &mut self,
+        now: Instant,
+        tx_node: TxNode,
+        since: Instant,
+        uid: NodeUid,
+        assigned: TxNode,
+    ) {
+        // The reply that made us what we are may come twice.
+        let settled = now >= since + self.timing.claim;
+        if (uid != self.uid && assigned == tx_node) || (uid == self.uid && settled) {
+            self.report_conflict(now, tx_node, Some(uid));
+            self.identify();
+        }
+    }
+
+    /// Another node sent with the id that we have or claim.
+    fn on_own_tx_node(&mut self, now: Instant, tx_node: TxNode, other: Option<NodeUid>) {
+        if let State::Claiming { .. } = self.state {
+            // Whoever has it keeps it. It has heard our claim, and states its UID, so the broker learns.
+            self.report_conflict(now, tx_node, other);
+            if other.is_some() {
+                self.send = None;
+            }
+            self.strikes = None;
+            self.failures = self.failures.saturating_add(1);
+            let pause = if self.fixed.is_some() || other == Some(self.uid) {
+                self.timing.longest_back_off
+            } else {
+                self.timing.back_off
+            };
+            self.state = State::Idle { until: now + self.jitter.around(pause) };
+            return;
+        }
+        let strikes = self.report_conflict(now, tx_node, other);
+        let yields = other.is_some_and(|other| other <= self.uid) && strikes >= MAX_STRIKES;
+        if yields {
+            self.strikes = None;
+            self.tell(ConfigurationEvent::Lost(tx_node));
+            self.send = None;
+            self.state = State::Idle { until: now + self.jitter.around(self.timing.longest_back_off) };
+        } else {
+            self.identify();
+        }
+    }
+
+    /// Counts a conflict, and tells of the first in its span. Returns how many the other's identity made.
+    fn report_conflict(&mut self, now: Instant, tx_node: TxNode, other: Option<NodeUid>) -> u8 {
+        let mut strikes = match self.strikes {
+            Some(strikes) if now < strikes.since + self.timing.conflict => strikes,
+            _ => {
+                self.tell(ConfigurationEvent::Conflict { tx_node, other });
+                Strikes { count: 0, since: now }
+            }
+        };
+        strikes.count = strikes.count.saturating_add(u8::from(other.is_some()));
+        self.strikes = Some(strikes);
+        strikes.count
+    }
+
+    fn ask(&mut self, now: Instant, stage: Stage, tries: u8) {
+        let request = ConfigurationRequest::new(self.uid, stage).encode();
+        self.request = Some(request);
+        self.send = Some(request);
+        let patience = self.timing.reply * (1 << self.failures.min(4));
+        self.state = State::Asking { stage, until: now + patience, tries };
+    }
+
+    fn begin_again(&mut self, now: Instant) {
+        self.withdraw_request();
+        self.ask(now, Stage::FIRST, 1);
+    }
+
+    fn back_off(&mut self, now: Instant) {
+        self.withdraw_request();
+        let pause = self.timing.back_off * (1 << self.failures.min(8));
+        let pause = if pause < self.timing.longest_back_off { pause } else { self.timing.longest_back_off };
+        self.failures = self.failures.saturating_add(1);
+        self.state = State::Idle { until: now + self.jitter.around(pause) };
+    }
+
+    fn claim(&mut self, now: Instant, tx_node: TxNode) {
+        self.withdraw_request();
+        let until = now + self.timing.claim;
+        let claim_at = now + self.jitter.below(self.third_of_claim());
+        self.state = State::Claiming { tx_node, claim_at, claims: CLAIMS, until };
+    }
+
+    fn third_of_claim(&self) -> Duration {
+        Duration::from_ticks(self.timing.claim.as_ticks() / 3)
+    }
+
+    /// The id that we have or claim.
+    fn claimed(&self) -> Option<TxNode> {
+        match self.state {
+            State::Claiming { tx_node, .. } | State::Configured { tx_node, .. } => Some(tx_node),
+            _ => None,
+        }
+    }
+
+    fn identify(&mut self) {
+        if let Some(tx_node) = self.claimed() {
+            self.send = Some(NodeIdentity { tx_node, uid: self.uid }.encode());
+        }
+    }
+
+    fn withdraw_request(&mut self) {
+        let Some(request) = self.request.take() else {
+            return;
+        };
+        if self.send == Some(request) {
+            self.send = None; // nobody has fetched it
+        } else {
+            self.void = Some(request);
+        }
+    }
+
+    fn tell(&mut self, event: ConfigurationEvent) {
+        if !self.events.push(event) {
+            self.events_dropped = self.events_dropped.saturating_add(1);
+        }
+    }
+}
+
+/// How often a stage is asked until the node starts over.
+const MAX_TRIES: u8 = 3;
+
+/// How often a node states its identity before it uses its id: one of them may be lost.
+const CLAIMS: u8 = 2;
+
+/// How many identities of another node with our id we answer until one of the two has to go.
+const MAX_STRIKES: u8 = 3;

@@ -1,0 +1,49 @@
+//! Pseudo-random spans, so that nodes that failed together do not try again together.
+
+use crate::time::Duration;
+
+/// A sequence that depends on its seed only (SplitMix64): nodes with different seeds go different ways,
+/// and a test can repeat them.
+#[derive(Clone, Debug)]
+pub(super) struct Jitter(u64);
+
+impl Jitter {
+    pub(super) const fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    /// A span that is less than `limit`, or zero.
+    pub(super) fn below(&mut self, limit: Duration) -> Duration {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+        let mixed = mixed ^ mixed >> 31;
+        // The high half of the product is uniform below the limit, without a division.
+        Duration::from_ticks(((u128::from(mixed) * u128::from(limit.as_ticks())) >> 64) as u64)
+    }
+
+    /// A span from half of `mean` to one and a half of it.
+    pub(super) fn around(&mut self, mean: Duration) -> Duration {
+        Duration::from_ticks(mean.as_ticks() / 2) + self.below(mean)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spans_stay_below_their_limit_and_differ() {
+        let limit = Duration::from_millis(10);
+        let (mut one, mut other) = (Jitter::new(1), Jitter::new(2));
+        let mut equal = 0;
+        for _ in 0..1000 {
+            let (a, b) = (one.below(limit), other.below(limit));
+            assert!(a < limit && b < limit);
+            equal += u32::from(a == b);
+        }
+        assert_eq!(equal, 0);
+        assert_eq!(one.below(Duration::from_ticks(0)), Duration::from_ticks(0));
+        assert!(one.around(limit) >= Duration::from_millis(5));
+    }
+}

@@ -1,0 +1,62 @@
+//! A small first-in first-out queue.
+
+/// Up to `N` values in the order of their arrival.
+#[derive(Clone, Debug)]
+pub(super) struct Ring<T: Copy, const N: usize> {
+    slots: [Option<T>; N],
+    first: usize,
+    len: usize,
+}
+
+impl<T: Copy, const N: usize> Ring<T, N> {
+    pub(super) const fn new() -> Self {
+        const { assert!(N > 0, "a queue needs room for at least one value") };
+        Self { slots: [None; N], first: 0, len: 0 }
+    }
+
+    /// How many more values fit.
+    pub(super) const fn room(&self) -> usize {
+        N - self.len
+    }
+
+    /// Appends `value`; `false` if there is no room.
+    #[must_use]
+    pub(super) fn push(&mut self, value: T) -> bool {
+        if self.len == N {
+            return false;
+        }
+        if let Some(slot) = self.slots.get_mut((self.first + self.len) % N) {
+            *slot = Some(value);
+            self.len += 1;
+        }
+        true
+    }
+
+    /// Removes the oldest value.
+    pub(super) fn pop(&mut self) -> Option<T> {
+        let value = self.slots.get_mut(self.first)?.take()?;
+        self.first = (self.first + 1) % N;
+        self.len -= 1;
+        Some(value)
+    }
+
+    pub(super) fn clear(&mut self) {
+        *self = Self::new();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_in_first_out_and_no_more_than_fits() {
+        let mut ring = Ring::<u8, 2>::new();
+        for round in 0..5 {
+            assert!(ring.push(round) && ring.push(round + 1));
+            assert!(!ring.push(9));
+            assert_eq!((ring.pop(), ring.pop(), ring.pop()), (Some(round), Some(round + 1), None));
+        }
+        assert_eq!(ring.room(), 2);
+    }
+}

@@ -1,0 +1,309 @@
+//! The broker's tables: which node has which TxNode, which subject has which etag.
+//!
+//! An id is the index of its entry, counted from the top of its range down, so that looking one up is one
+//! access, and every id that the broker can hand out has a place in which "somebody uses this" can be
+//! kept. Looking for a UID or a subject walks the table.
+
+use crate::can::{Etag, TxNode};
+use crate::uid::{NodeUid, Subject};
+
+/// The entry contradicts what the table knows.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Conflict<Name> {
+    /// The id is outside the part of its range that this table covers.
+    OutOfRange,
+    /// The id belongs to this one.
+    Taken(Name),
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Slot<Name> {
+    Free,
+    /// Somebody uses it; we do not know who.
+    Unknown,
+    Of(Name),
+}
+
+#[derive(Clone, Debug)]
+struct Table<Name, const N: usize> {
+    slots: [Slot<Name>; N],
+}
+
+impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
+    const fn new() -> Self {
+        Self { slots: [Slot::Free; N] }
+    }
+
+    fn index_of(&self, name: Name) -> Option<usize> {
+        self.slots.iter().position(|slot| *slot == Slot::Of(name))
+    }
+
+    /// The index that `name` has, or a free one that it gets now.
+    fn assign(&mut self, name: Name) -> Option<usize> {
+        if let Some(at) = self.index_of(name) {
+            return Some(at);
+        }
+        let at = self.slots.iter().position(|slot| *slot == Slot::Free)?;
+        *self.slots.get_mut(at)? = Slot::Of(name);
+        Some(at)
+    }
+
+    fn occupy(&mut self, at: usize) {
+        if let Some(slot @ Slot::Free) = self.slots.get_mut(at) {
+            *slot = Slot::Unknown;
+        }
+    }
+
+    /// Enters `name` at `at` unless another one has that id. A former entry of `name` ends.
+    fn insert(&mut self, name: Name, at: usize) -> Result<(), Conflict<Name>> {
+        match self.slots.get(at) {
+            None => return Err(Conflict::OutOfRange),
+            Some(Slot::Of(other)) if *other != name => return Err(Conflict::Taken(*other)),
+            Some(_) => {}
+        }
+        self.overwrite(name, at);
+        Ok(())
+    }
+
+    /// Enters `name` at `at`, whoever had that id. A former entry of `name` ends.
+    fn overwrite(&mut self, name: Name, at: usize) {
+        self.release(name);
+        if let Some(slot) = self.slots.get_mut(at) {
+            *slot = Slot::Of(name);
+        }
+    }
+
+    fn release(&mut self, name: Name) -> bool {
+        let slot = self.slots.iter_mut().find(|slot| **slot == Slot::Of(name));
+        slot.map(|slot| *slot = Slot::Free).is_some()
+    }
+
+    fn name(&self, at: usize) -> Option<Name> {
+        match self.slots.get(at) {
+            Some(Slot::Of(name)) => Some(*name),
+            _ => None,
+        }
+    }
+
+    fn entries(&self) -> impl Iterator<Item = (Name, usize)> + '_ {
+        (0..N).filter_map(|at| Some((self.name(at)?, at)))
+    }
+
+    fn free(&self) -> usize {
+        self.slots.iter().filter(|slot| **slot == Slot::Free).count()
+    }
+}
+
+/// Node UIDs and their TxNodes: the `N` ids from 0x7E down. Ids below them are never handed out, and are
+/// the place for nodes whose id is fixed.
+#[derive(Clone, Debug)]
+pub struct Nodes<const N: usize>(Table<NodeUid, N>);
+
+impl<const N: usize> Nodes<N> {
+    /// An empty table.
+    pub const fn new() -> Self {
+        const { assert!(N >= 1 && N <= TxNode::MAX.get() as usize + 1, "there are 127 TxNodes") };
+        Self(Table::new())
+    }
+
+    /// Enters a pair, as when a stored table is restored. O(`N`).
+    ///
+    /// # Errors
+    /// When another node has the id, or it is not one that this table covers.
+    pub fn restore(&mut self, uid: NodeUid, tx_node: TxNode) -> Result<(), Conflict<NodeUid>> {
+        self.0.insert(uid, Self::index(tx_node).ok_or(Conflict::OutOfRange)?)
+    }
+
+    /// All pairs, to be stored and restored. O(`N`).
+    pub fn entries(&self) -> impl Iterator<Item = (NodeUid, TxNode)> + '_ {
+        self.0.entries().filter_map(|(uid, at)| Some((uid, Self::tx_node(at)?)))
+    }
+
+    /// Whose id this is.
+    pub fn uid_of(&self, tx_node: TxNode) -> Option<NodeUid> {
+        self.0.name(Self::index(tx_node)?)
+    }
+
+    /// How many ids are left. O(`N`).
+    pub fn free(&self) -> usize {
+        self.0.free()
+    }
+
+    /// The id of a node, which it gets now if it has none; `None` if none is left. O(`N`).
+    pub(super) fn assign(&mut self, uid: NodeUid) -> Option<TxNode> {
+        Self::tx_node(self.0.assign(uid)?)
+    }
+
+    /// A node said that it uses this id; whoever had it before. O(`N`).
+    pub(super) fn learn(&mut self, uid: NodeUid, tx_node: TxNode) {
+        match Self::index(tx_node) {
+            Some(at) if at < N => self.0.overwrite(uid, at),
+            // It has a fixed id that we never hand out; one that we gave it before is free again.
+            _ => _ = self.0.release(uid),
+        }
+    }
+
+    /// Somebody uses this id. Constant time.
+    pub(super) fn occupy(&mut self, tx_node: TxNode) {
+        if let Some(at) = Self::index(tx_node) {
+            self.0.occupy(at);
+        }
+    }
+
+    pub(super) fn release(&mut self, uid: NodeUid) -> bool {
+        self.0.release(uid)
+    }
+
+    fn index(tx_node: TxNode) -> Option<usize> {
+        TxNode::MAX.get().checked_sub(tx_node.get()).map(usize::from)
+    }
+
+    fn tx_node(at: usize) -> Option<TxNode> {
+        TxNode::new(TxNode::MAX.get().checked_sub(u8::try_from(at).ok()?)?)
+    }
+}
+
+impl<const N: usize> Default for Nodes<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Subjects and their etags: the `N` etags from 16383 down.
+#[derive(Clone, Debug)]
+pub struct Subjects<const N: usize>(Table<Subject, N>);
+
+impl<const N: usize> Subjects<N> {
+    /// An empty table.
+    pub const fn new() -> Self {
+        const {
+            let all = (Etag::BOUND_LAST.get() - Etag::BOUND_FIRST.get()) as usize + 1;
+            assert!(N >= 1 && N <= all, "there are 15360 etags to bind");
+        }
+        Self(Table::new())
+    }
+
+    /// Enters a pair, as when a stored table is restored. O(`N`).
+    ///
+    /// # Errors
+    /// When another subject has the etag, or it is not one that this table covers.
+    pub fn restore(&mut self, subject: Subject, etag: Etag) -> Result<(), Conflict<Subject>> {
+        self.0.insert(subject, Self::index(etag))
+    }
+
+    /// All pairs, to be stored and restored. O(`N`).
+    pub fn entries(&self) -> impl Iterator<Item = (Subject, Etag)> + '_ {
+        self.0.entries().filter_map(|(subject, at)| Some((subject, Self::etag(at)?)))
+    }
+
+    /// Whose etag this is.
+    pub fn subject_of(&self, etag: Etag) -> Option<Subject> {
+        self.0.name(Self::index(etag))
+    }
+
+    /// The etag of a subject. O(`N`).
+    pub fn etag_of(&self, subject: Subject) -> Option<Etag> {
+        Self::etag(self.0.index_of(subject)?)
+    }
+
+    /// How many etags are left. O(`N`).
+    pub fn free(&self) -> usize {
+        self.0.free()
+    }
+
+    /// The etag of a subject, which it gets now if it has none; `None` if none is left. O(`N`).
+    pub(super) fn bind(&mut self, subject: Subject) -> Option<Etag> {
+        Self::etag(self.0.assign(subject)?)
+    }
+
+    /// The active broker said so: whoever had that etag before. O(`N`).
+    pub(super) fn mirror(&mut self, subject: Subject, etag: Etag) {
+        let at = Self::index(etag);
+        if at < N {
+            self.0.overwrite(subject, at);
+        }
+    }
+
+    /// Somebody uses this etag. Constant time.
+    pub(super) fn occupy(&mut self, etag: Etag) {
+        self.0.occupy(Self::index(etag));
+    }
+
+    pub(super) fn release(&mut self, subject: Subject) -> bool {
+        self.0.release(subject)
+    }
+
+    fn index(etag: Etag) -> usize {
+        usize::from(Etag::BOUND_LAST.get() - etag.get())
+    }
+
+    fn etag(at: usize) -> Option<Etag> {
+        Etag::new(Etag::BOUND_LAST.get().checked_sub(u16::try_from(at).ok()?)?)
+    }
+}
+
+impl<const N: usize> Default for Subjects<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const fn uid(uid: u64) -> NodeUid {
+        NodeUid::new(uid).unwrap()
+    }
+
+    const fn subject(subject: u64) -> Subject {
+        Subject::new(subject).unwrap()
+    }
+
+    #[test]
+    fn a_uid_keeps_its_id() {
+        let mut nodes = Nodes::<2>::new();
+        assert_eq!(nodes.assign(uid(1)), Some(TxNode::MAX));
+        assert_eq!(nodes.assign(uid(2)), TxNode::new(0x7D));
+        assert_eq!(nodes.assign(uid(1)), Some(TxNode::MAX));
+        assert_eq!(nodes.assign(uid(3)), None, "no id left");
+        assert!(nodes.release(uid(1)));
+        assert_eq!(nodes.assign(uid(3)), Some(TxNode::MAX));
+    }
+
+    #[test]
+    fn ids_that_are_in_use_are_not_handed_out() {
+        let mut nodes = Nodes::<3>::new();
+        nodes.occupy(TxNode::MAX);
+        nodes.occupy(TxNode::MIN); // outside the table: nothing to remember
+        nodes.occupy(TxNode::BROKER);
+        nodes.learn(uid(9), TxNode::new(0x7D).unwrap());
+        assert_eq!(nodes.assign(uid(1)), TxNode::new(0x7C));
+        assert_eq!(nodes.free(), 0);
+        // Who it is becomes known.
+        nodes.learn(uid(8), TxNode::MAX);
+        assert_eq!(nodes.uid_of(TxNode::MAX), Some(uid(8)));
+        // A node with an id in the table turns out to use a fixed one below it.
+        nodes.learn(uid(8), TxNode::MIN);
+        assert_eq!(nodes.free(), 1);
+    }
+
+    #[test]
+    fn what_was_exported_is_restored() {
+        let mut before = Subjects::<8>::new();
+        for at in 1..=5 {
+            before.bind(subject(at)).unwrap();
+        }
+        before.release(subject(2));
+        let mut after = Subjects::<8>::new();
+        for (subject, etag) in before.entries() {
+            after.restore(subject, etag).unwrap();
+        }
+        assert!(before.entries().eq(after.entries()));
+        assert_eq!(after.bind(subject(5)), Etag::new(0x3FFF - 4));
+        assert_eq!(after.restore(subject(7), Etag::BOUND_LAST), Err(Conflict::Taken(subject(1))));
+        assert_eq!(after.restore(subject(7), Etag::BOUND_FIRST), Err(Conflict::OutOfRange));
+        assert_eq!(after.subject_of(Etag::BOUND_LAST), Some(subject(1)));
+    }
+}
