@@ -83,7 +83,7 @@ impl RateChange {
     /// From parts in 10⁹ per second, rounded up, at most [`RateChange::LIMIT`].
     pub const fn from_parts_per_billion(parts: u32) -> Self {
         // 2^32 * 2^30 / 10^18 = 4.612 units for each part in 10^9.
-        let units = (parts as u64 * 4_612 + 999) / 1_000;
+        let units = (parts as u64 * 4_612).div_ceil(1_000);
         Self(if units < Self::LIMIT.0 as u64 { units as u32 } else { Self::LIMIT.0 })
     }
 

@@ -91,7 +91,7 @@ impl SyncConfig {
     /// A master continues a time scale if it knows its rate this well until the end of the handover.
     /// Four periods of observation suffice.
     pub(super) const fn takeover_rate_error(&self) -> i32 {
-        let observed = (2 * self.stamp_error.as_ticks() << 32) / (4 * self.period.as_ticks());
+        let observed = ((2 * self.stamp_error.as_ticks()) << 32) / (4 * self.period.as_ticks());
         observed as i32 + self.max_rate_change.over(self.periods(8 + 5 + Self::HOLDOVER_PERIODS + 1))
     }
 
@@ -139,7 +139,7 @@ mod tests {
     fn usual_values_are_accepted() {
         const { assert!(SyncConfig::DEFAULT.check().is_ok()) };
         // 6.25 parts in 10^6 from four periods, 4.0 from 2 s at 2 in 10^6 per second.
-        let takeover = f64::from(SyncConfig::DEFAULT.takeover_rate_error()) / 4294.967_296;
+        let takeover = f64::from(SyncConfig::DEFAULT.takeover_rate_error()) / 4_294.967_296;
         assert!((10.2..10.4).contains(&takeover), "{takeover}");
     }
 

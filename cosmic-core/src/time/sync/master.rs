@@ -10,8 +10,8 @@ pub(super) struct Mastership {
     sequence: SyncSequence,
     /// Given out for transmission at this instant, not confirmed.
     outstanding_since: Option<Instant>,
-    /// When a transmission was last confirmed, or the office began.
-    confirmed_at: Instant,
+    /// The first one since the last that was confirmed was given out then.
+    unheard_since: Option<Instant>,
     follow_up: Option<FollowUp>,
     predecessor: TxNode,
     handover_ends: Option<Instant>,
@@ -24,7 +24,7 @@ impl Mastership {
             sync_at: now,
             sequence: SyncSequence::new(u8::MAX),
             outstanding_since: None,
-            confirmed_at: now,
+            unheard_since: None,
             follow_up: None,
             predecessor,
             handover_ends: Some(handover_ends),
@@ -47,7 +47,7 @@ impl Mastership {
 
     /// Has no sync frame been sent for this long? Then nobody hears this node.
     pub(super) fn is_unheard(&self, now: Instant, time_out: Duration) -> bool {
-        self.outstanding_since.is_some() && now >= self.confirmed_at + time_out
+        self.unheard_since.is_some_and(|since| now >= since + time_out)
     }
 
     pub(super) fn take_follow_up(&mut self) -> Option<FollowUp> {
@@ -71,6 +71,7 @@ impl Mastership {
             return None;
         }
         let unsent = self.outstanding_since.replace(now).is_some();
+        self.unheard_since = self.unheard_since.or(Some(now));
         self.sequence = self.sequence.next();
         Some((self.sequence, unsent))
     }
@@ -80,7 +81,7 @@ impl Mastership {
         if message.sequence != self.sequence || self.outstanding_since.take().is_none() {
             return false;
         }
-        self.confirmed_at = sent_at;
+        self.unheard_since = None;
         self.follow_up = Some(FollowUp { sequence: self.sequence, sent_at: clock.to_global(sent_at) });
         true
     }
