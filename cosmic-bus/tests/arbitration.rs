@@ -26,10 +26,11 @@ fn a_frame_loaded_at_the_start_of_another_takes_part() {
     let (mut bus, [a, b]) = bus_of(FaultModel::none());
     bus.load(bit(100), a, 0, standard(0x101, &[])).unwrap();
     assert_eq!(events_until(&mut bus, bit(100)), []);
-    bus.load(bit(100), b, 0, standard(0x100, &[])).unwrap();
+    let urgent = standard(0x100, &[]);
+    bus.load(bit(100), b, 0, urgent).unwrap();
+    let accepted = bit(100 + u64::from(urgent.bit_count()) - 1);
     let events = events_until(&mut bus, bit(1_000));
-    assert_eq!(events[0].kind, EventKind::Received(standard(0x100, &[])));
-    assert_eq!((events[0].station, events[0].at), (a, bit(100 + 45)));
+    assert_eq!(events[0], event(accepted, a, EventKind::Received(urgent)));
 }
 
 #[test]
