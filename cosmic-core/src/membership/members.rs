@@ -1,0 +1,163 @@
+//! The nodes that are alive.
+
+use crate::can::{Frame, TxNode};
+use crate::protocol::{NodeState, NodeStatus};
+use crate::time::{Duration, Instant};
+
+/// A node has come or gone.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum MemberEvent {
+    /// A status of a node that was not known, or had left.
+    Joined(TxNode),
+    /// It said that it leaves.
+    Left(TxNode),
+    /// It was silent for too long.
+    Silent(TxNode),
+    /// It has started again, so fast that its silence was not noticed.
+    Restarted(TxNode),
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Member {
+    status: NodeStatus,
+    heard_at: Instant,
+}
+
+/// Up to `N` other nodes; the contract is that of [`crate::membership`].
+///
+/// Every call takes O(`N`).
+#[derive(Clone, Debug)]
+pub struct Members<const N: usize> {
+    members: [Option<Member>; N],
+    silence: Duration,
+    overflows: u16,
+}
+
+impl<const N: usize> Members<N> {
+    /// Nobody is known. A node that sends no status for `silence` is taken for dead; that should be several
+    /// periods of [`StatusReport`](super::StatusReport).
+    pub const fn new(silence: Duration) -> Self {
+        Self { members: [None; N], silence, overflows: 0 }
+    }
+
+    /// The last status of each node that is alive.
+    pub fn iter(&self) -> impl Iterator<Item = &NodeStatus> {
+        self.members.iter().flatten().map(|member| &member.status)
+    }
+
+    /// The last status of a node, if it is alive.
+    pub fn status_of(&self, tx_node: TxNode) -> Option<&NodeStatus> {
+        self.iter().find(|status| status.tx_node == tx_node)
+    }
+
+    /// Status frames of nodes for which there was no room.
+    pub const fn overflows(&self) -> u16 {
+        self.overflows
+    }
+
+    /// Takes a received frame.
+    pub fn on_frame(&mut self, now: Instant, frame: &Frame) -> Option<MemberEvent> {
+        let status = NodeStatus::decode(frame)?;
+        let tx_node = status.tx_node;
+        let of_node = |place: &Option<Member>| place.is_some_and(|member| member.status.tx_node == tx_node);
+        let known = self.members.iter().position(of_node);
+        if status.state == NodeState::Leaving {
+            return self.remove(known?).map(MemberEvent::Left);
+        }
+        let Some(at) = known.or_else(|| self.members.iter().position(Option::is_none)) else {
+            self.overflows = self.overflows.saturating_add(1);
+            return None;
+        };
+        let before = self.members.get_mut(at)?.replace(Member { status, heard_at: now });
+        match before {
+            None => Some(MemberEvent::Joined(tx_node)),
+            Some(before) => before.has_restarted(now, &status).then_some(MemberEvent::Restarted(tx_node)),
+        }
+    }
+
+    /// A node that fell silent; call until it returns `None`.
+    pub fn poll(&mut self, now: Instant) -> Option<MemberEvent> {
+        let silence = self.silence;
+        let silent = |place: &Option<Member>| place.is_some_and(|member| now >= member.heard_at + silence);
+        let at = self.members.iter().position(silent)?;
+        self.remove(at).map(MemberEvent::Silent)
+    }
+
+    /// When `poll` must be called even if no frame arrives.
+    pub fn next_wakeup(&self) -> Option<Instant> {
+        self.members.iter().flatten().map(|member| member.heard_at + self.silence).min()
+    }
+
+    fn remove(&mut self, at: usize) -> Option<TxNode> {
+        Some(self.members.get_mut(at)?.take()?.status.tx_node)
+    }
+}
+
+impl Member {
+    /// A node's first status has sequence 0, and its uptime grows; the same frame may come twice.
+    fn has_restarted(&self, now: Instant, status: &NodeStatus) -> bool {
+        let repeated = self.status == *status && now < self.heard_at + REPETITION;
+        (status.sequence == 0 && !repeated) || status.uptime < self.status.uptime
+    }
+}
+
+/// A frame that CAN sends again comes within this span.
+const REPETITION: Duration = Duration::from_millis(20);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::protocol::Uptime;
+
+    const NODE: TxNode = TxNode::new(5).unwrap();
+    const FIRST: NodeStatus = NodeStatus::first(NODE, NodeState::Operational);
+
+    fn at(milliseconds: u64) -> Instant {
+        Instant::from_epoch(Duration::from_millis(milliseconds))
+    }
+
+    fn later(sequence: u8, seconds: u64) -> Frame {
+        NodeStatus { sequence, uptime: Uptime::new(Duration::from_secs(seconds)), ..FIRST }.encode()
+    }
+
+    #[test]
+    fn a_node_joins_falls_silent_and_joins_again() {
+        let mut members = Members::<2>::new(Duration::from_secs(3));
+        assert_eq!(members.on_frame(at(0), &FIRST.encode()), Some(MemberEvent::Joined(NODE)));
+        assert_eq!(members.on_frame(at(1000), &later(1, 1)), None);
+        assert_eq!(members.next_wakeup(), Some(at(4000)));
+        assert_eq!(members.poll(at(3999)), None);
+        assert_eq!(members.poll(at(4000)), Some(MemberEvent::Silent(NODE)));
+        assert_eq!(members.status_of(NODE), None);
+        assert_eq!(members.on_frame(at(5000), &later(5, 5)), Some(MemberEvent::Joined(NODE)));
+        let last = NodeStatus { state: NodeState::Leaving, ..FIRST };
+        assert_eq!(members.on_frame(at(6000), &last.encode()), Some(MemberEvent::Left(NODE)));
+        assert_eq!(members.on_frame(at(6001), &last.encode()), None);
+    }
+
+    #[test]
+    fn a_restart_is_seen_by_its_sequence_or_by_its_uptime() {
+        let mut members = Members::<2>::new(Duration::from_secs(3));
+        let restarted = Some(MemberEvent::Restarted(NODE));
+        let _ = members.on_frame(at(0), &FIRST.encode());
+        assert_eq!(members.on_frame(at(1), &FIRST.encode()), None, "the same frame again");
+        assert_eq!(members.on_frame(at(1000), &later(1, 1)), None);
+        assert_eq!(members.on_frame(at(1500), &FIRST.encode()), restarted);
+        assert_eq!(members.on_frame(at(2500), &later(1, 1)), None);
+        // The first status of the new life was lost.
+        assert_eq!(members.on_frame(at(4000), &later(1, 0)), restarted);
+        // It dies again and again before its second status.
+        assert_eq!(members.on_frame(at(5000), &FIRST.encode()), restarted);
+        assert_eq!(members.on_frame(at(5100), &FIRST.encode()), restarted);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_counted() {
+        let mut members = Members::<1>::new(Duration::from_secs(3));
+        let _ = members.on_frame(at(0), &FIRST.encode());
+        let other = NodeStatus { tx_node: TxNode::MIN, ..FIRST };
+        assert_eq!(members.on_frame(at(0), &other.encode()), None);
+        assert_eq!((members.overflows(), members.iter().count()), (1, 1));
+    }
+}
