@@ -1,28 +1,126 @@
-//! Logs and records, both read by a debug probe through RTT.
+//! Logs and records, which a debug probe reads through RTT while the application runs.
 //!
-//! Up-channel 0 carries defmt logs. Up-channels 1 and 2 carry records of what happened to events, one
-//! for the time-triggered half and one for the event-triggered half, so that neither waits for the
-//! other.
+//! Up-channel 0 (`defmt`) carries the log. Up-channel 1 (`records`) carries one record of
+//! [`Record::LEN`] bytes, little-endian, for everything that happened to an event at this node:
+//!
+//! | bytes | field | published | delivered | exception | refused |
+//! |---|---|---|---|---|---|
+//! | 0 | kind | 1 | 2 | 3 | 4 |
+//! | 1 | detail | 0 | TxNode of the publisher | `ExceptionKind` as a number | 0 |
+//! | 2..4 | etag | of the channel | of the channel | of the channel, or 0xFFFF | of the channel |
+//! | 4..8 | sequence | of the event | of the event | 0 | of the event |
+//! | 8..16 | at | handed to the middleware | taken by the application | noticed | handed over |
+//! | 16..24 | visible | as `at` | became visible to the subscriber | as `at` | as `at` |
+//!
+//! Instants are nanoseconds of the node's local time. An event becomes visible when its frame has been
+//! received, and a hard real-time event at its delivery instant.
 
-use rtt_target::UpChannel;
+use cosmic_core::can::Etag;
+use cosmic_core::event_half::Delivered;
+use cosmic_core::event_layer::{Channel, Content, Exception};
+use cosmic_core::time::Instant;
+use rtt_target::{ChannelMode, UpChannel};
 
-/// The record channels.
+use crate::cluster;
+
+/// The record channel.
 pub struct Records {
-    /// Written by the time-triggered half.
-    pub hard: UpChannel,
-    /// Written by the event-triggered half.
-    pub other: UpChannel,
+    channel: UpChannel,
+    lost: u32,
 }
 
-/// Sets up RTT. Only once, early in `init`.
-pub fn start() -> Records {
-    let channels = rtt_target::rtt_init! {
-        up: {
-            0: { size: 2048, mode: rtt_target::ChannelMode::NoBlockSkip, name: "defmt" }
-            1: { size: 2048, mode: rtt_target::ChannelMode::NoBlockSkip, name: "records-hard" }
-            2: { size: 4096, mode: rtt_target::ChannelMode::NoBlockSkip, name: "records" }
+/// Content that counts its events, so that records of publisher and subscriber can be matched.
+pub trait Sequenced: Content {
+    /// The number of the event, on its channel and by its publisher.
+    fn sequence(&self) -> u32;
+}
+
+/// One record.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+struct Record {
+    kind: Kind,
+    detail: u8,
+    etag: Option<Etag>,
+    sequence: u32,
+    at: Instant,
+    visible_at: Instant,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Kind {
+    Published = 1,
+    Delivered = 2,
+    Exception = 3,
+    Refused = 4,
+}
+
+impl Records {
+    /// Sets up RTT for logs and records; once, first thing in `init`.
+    pub fn start() -> Self {
+        let channels = rtt_target::rtt_init! {
+            up: {
+                0: { size: 2048, mode: ChannelMode::NoBlockSkip, name: "defmt" }
+                1: { size: 6144, mode: ChannelMode::NoBlockSkip, name: "records" }
+            }
+        };
+        rtt_target::set_defmt_channel(channels.up.0);
+        Self { channel: channels.up.1, lost: 0 }
+    }
+
+    /// An event was handed to the middleware, which took it or not.
+    pub fn published<C: Sequenced>(&mut self, channel: &Channel<C>, sequence: u32, at: Instant, taken: bool) {
+        let kind = if taken { Kind::Published } else { Kind::Refused };
+        let etag = cluster::etag_of(channel.subject());
+        self.write(&Record { kind, detail: 0, etag, sequence, at, visible_at: at });
+    }
+
+    /// The application took an event.
+    pub fn delivered<C: Sequenced>(&mut self, channel: &Channel<C>, event: &Delivered<C>, at: Instant) {
+        self.write(&Record {
+            kind: Kind::Delivered,
+            detail: event.publisher.get(),
+            etag: cluster::etag_of(channel.subject()),
+            sequence: event.content.sequence(),
+            at,
+            visible_at: event.received_at,
+        });
+    }
+
+    /// The application was told of an exception.
+    pub fn exception(&mut self, exception: &Exception) {
+        self.write(&Record {
+            kind: Kind::Exception,
+            detail: exception.kind as u8,
+            etag: exception.subject.and_then(cluster::etag_of),
+            sequence: 0,
+            at: exception.at,
+            visible_at: exception.at,
+        });
+    }
+
+    fn write(&mut self, record: &Record) {
+        // Nobody waits for a probe; the channel takes a record whole or not at all.
+        if self.channel.write(&record.encode()) != Record::LEN {
+            self.lost = self.lost.wrapping_add(1);
+            if self.lost.is_power_of_two() {
+                defmt::warn!("{} records were lost: nobody reads them fast enough", self.lost);
+            }
         }
-    };
-    rtt_target::set_defmt_channel(channels.up.0);
-    Records { hard: channels.up.1, other: channels.up.2 }
+    }
+}
+
+impl Record {
+    const LEN: usize = 24;
+    const NO_ETAG: u16 = u16::MAX;
+
+    fn encode(&self) -> [u8; Self::LEN] {
+        let mut bytes = [0; Self::LEN];
+        bytes[0] = self.kind as u8;
+        bytes[1] = self.detail;
+        bytes[2..4].copy_from_slice(&self.etag.map_or(Self::NO_ETAG, Etag::get).to_le_bytes());
+        bytes[4..8].copy_from_slice(&self.sequence.to_le_bytes());
+        bytes[8..16].copy_from_slice(&self.at.since_epoch().as_ticks().to_le_bytes());
+        bytes[16..24].copy_from_slice(&self.visible_at.since_epoch().as_ticks().to_le_bytes());
+        bytes
+    }
 }

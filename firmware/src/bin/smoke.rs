@@ -16,7 +16,7 @@ mod app {
     use boards::stm32f4::{Board, MeasuringPoint, Settings};
     use cosmic_core::can::{BitRate, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
     use cosmic_core::time::Duration;
-    use firmware::wiring::FILTERS;
+    use firmware::cluster::FILTERS;
 
     #[shared]
     struct Shared {
@@ -34,7 +34,7 @@ mod app {
 
     #[init]
     fn init(context: init::Context) -> (Shared, Local) {
-        firmware::records::start();
+        let _records = firmware::records::Records::start();
         let settings = Settings { bit_rate: BitRate::MAX, filters: &FILTERS };
         let priority = rtic_monotonics::stm32::Priority::rtic_default();
         let Ok(board) = Board::new(context.device, settings, priority) else {

@@ -1,0 +1,111 @@
+//! What an application calls: publishers and subscribers that also write the records.
+
+use core::future::poll_fn;
+
+use boards::clock;
+use boards::stm32f4::MeasuringPoint;
+use cosmic_core::event_half::Delivered;
+use cosmic_core::event_layer::{Channel, Event, Filter, Policy, Publication, Subscription};
+use rtic::Mutex;
+use rtic_sync::signal::SignalWriter;
+
+use crate::node::{Buffers, Locked, Node};
+use crate::records::{Records, Sequenced};
+
+/// The right to publish on a channel.
+pub struct Publisher<C> {
+    channel: Channel<C>,
+    publication: Publication<C>,
+}
+
+/// A subscription to a channel.
+pub struct Subscriber<C> {
+    channel: Channel<C>,
+    subscription: Subscription<C>,
+}
+
+/// Shows what happens to events: by records, logs and measuring points.
+pub struct Reporter {
+    records: Records,
+    wake: SignalWriter<'static, ()>,
+    published: MeasuringPoint<13>,
+    exception: MeasuringPoint<15>,
+}
+
+impl<C: Sequenced + defmt::Format> Publisher<C> {
+    /// Announces the channel. For `init`; a channel that cannot be announced ends there, with a log.
+    pub fn announce(channel: &Channel<C>, node: &mut Node, buffers: &mut Buffers) -> Self {
+        let publication = defmt::unwrap!(node.half().announce(channel, buffers));
+        Self { channel: *channel, publication }
+    }
+
+    /// Publishes an event of now.
+    pub fn publish(
+        &self,
+        content: C,
+        node: &mut impl Mutex<T = Node>,
+        buffers: &mut impl Mutex<T = Buffers>,
+        reporter: &mut impl Mutex<T = Reporter>,
+    ) {
+        let sequence = content.sequence();
+        let now = clock::now();
+        let event = Event::new(content);
+        let result =
+            node.lock(|node| node.publish(now, &self.publication, &event, &mut Locked(&mut *buffers)));
+        reporter.lock(|reporter| {
+            reporter.published.toggle();
+            // There may be more to do than could be done at once, or something to be done later.
+            reporter.wake.write(());
+            reporter.records.published(&self.channel, sequence, now, result.is_ok());
+        });
+        if let Err(error) = result {
+            defmt::warn!("event {} of {} was not published: {}", sequence, self.channel.subject(), error);
+        }
+    }
+}
+
+impl<C: Sequenced> Subscriber<C> {
+    /// Subscribes to all events of the channel. For `init`, as [`Publisher::announce`].
+    pub fn subscribe(channel: &Channel<C>, policy: Policy, node: &mut Node, buffers: &mut Buffers) -> Self {
+        let subscription = defmt::unwrap!(node.half().subscribe(channel, Filter::ALL, policy, buffers));
+        Self { channel: *channel, subscription }
+    }
+
+    /// Waits for the next event.
+    pub async fn next(
+        &self,
+        node: &mut impl Mutex<T = Node>,
+        reporter: &mut impl Mutex<T = Reporter>,
+    ) -> Delivered<C> {
+        let event =
+            poll_fn(|context| node.lock(|node| node.half().poll_next(&self.subscription, context.waker())))
+                .await;
+        let now = clock::now();
+        reporter.lock(|reporter| reporter.records.delivered(&self.channel, &event, now));
+        event
+    }
+}
+
+impl Reporter {
+    pub(crate) fn new(
+        records: Records,
+        wake: SignalWriter<'static, ()>,
+        published: MeasuringPoint<13>,
+        exception: MeasuringPoint<15>,
+    ) -> Self {
+        Self { records, wake, published, exception }
+    }
+}
+
+/// Reports exceptions as they come, for ever.
+pub async fn report_exceptions(mut node: impl Mutex<T = Node>, mut reporter: impl Mutex<T = Reporter>) -> ! {
+    loop {
+        let exception =
+            poll_fn(|context| node.lock(|node| node.half().poll_exception(context.waker()))).await;
+        reporter.lock(|reporter| {
+            reporter.exception.toggle();
+            reporter.records.exception(&exception);
+        });
+        defmt::warn!("{}", exception);
+    }
+}

@@ -1,0 +1,146 @@
+//! The brake: applies a force for every wheel speed, and tells which.
+#![no_std]
+#![no_main]
+
+use panic_probe as _;
+
+#[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2, SPI3])]
+mod app {
+    use cosmic_core::event_layer::{Depth, Policy};
+    use cosmic_core::protocol::Rank;
+    use firmware::application::{self, Publisher, Reporter, Subscriber};
+    use firmware::cluster::{self, BrakeForce, Suspension, Temperature, WheelSpeed};
+    use firmware::inbox::{Inbox, Storage};
+    use firmware::node::{Buffers, Node};
+    use firmware::signals;
+    use firmware::start::{Parts, start};
+    use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
+
+    /// In the succession of time masters.
+    const RANK: Rank = Rank::new(1).unwrap();
+
+    #[shared]
+    struct Shared {
+        buffers: Buffers,
+        node: Node,
+        reporter: Reporter,
+        /// The disc's temperature as last heard, in hundredths of a degree Celsius.
+        disc: i16,
+    }
+
+    #[local]
+    struct Local {
+        calendar: CalendarParts,
+        urgent: UrgentParts,
+        outcomes: OutcomeParts,
+        other: OtherParts,
+        inbox: Inbox,
+        wheel_speed: Subscriber<WheelSpeed>,
+        temperature: Subscriber<Temperature>,
+        suspension: Subscriber<Suspension>,
+        brake_force: Publisher<BrakeForce>,
+    }
+
+    #[init(local = [storage: Storage = Storage::new()])]
+    fn init(context: init::Context) -> (Shared, Local) {
+        let parts = start(context.device, cluster::BRAKE, RANK, context.local.storage);
+        let Parts { calendar, urgent, outcomes, other, inbox, mut node, mut buffers, reporter } = parts;
+        let queue = Policy::Fifo(const { Depth::new(8).unwrap() });
+        let wheel_speed = Subscriber::subscribe(&cluster::WHEEL_SPEED, queue, &mut node, &mut buffers);
+        let temperature = Subscriber::subscribe(&cluster::TEMPERATURE, queue, &mut node, &mut buffers);
+        let suspension = Subscriber::subscribe(&cluster::SUSPENSION, queue, &mut node, &mut buffers);
+        let brake_force = Publisher::announce(&cluster::BRAKE_FORCE, &mut node, &mut buffers);
+
+        let spawned = [
+            calendar::spawn(),
+            etch::spawn(),
+            exceptions::spawn(),
+            brake::spawn(),
+            watch_temperature::spawn(),
+            watch_suspension::spawn(),
+        ];
+        // Each task is spawned once, so there is room for it.
+        defmt::assert!(spawned.iter().all(Result::is_ok));
+        (
+            Shared { buffers, node, reporter, disc: 0 },
+            Local {
+                calendar,
+                urgent,
+                outcomes,
+                other,
+                inbox,
+                wheel_speed,
+                temperature,
+                suspension,
+                brake_force,
+            },
+        )
+    }
+
+    #[task(local = [calendar], shared = [buffers], priority = 7)]
+    async fn calendar(context: calendar::Context) {
+        tasks::calendar(context.local.calendar, context.shared.buffers).await
+    }
+
+    #[task(binds = CAN1_RX0, local = [urgent], shared = [buffers], priority = 6)]
+    fn can_rx_urgent(context: can_rx_urgent::Context) {
+        tasks::receive_urgent(context.local.urgent, context.shared.buffers);
+    }
+
+    #[task(binds = CAN1_TX, local = [outcomes], shared = [buffers], priority = 5)]
+    fn can_tx(context: can_tx::Context) {
+        tasks::report_outcomes(context.local.outcomes, context.shared.buffers);
+    }
+
+    #[task(binds = CAN1_RX1, local = [other], priority = 4)]
+    fn can_rx_other(context: can_rx_other::Context) {
+        tasks::receive_other(context.local.other);
+    }
+
+    #[task(local = [inbox], shared = [node, buffers], priority = 3)]
+    async fn etch(context: etch::Context) {
+        tasks::etch(context.local.inbox, context.shared.node, context.shared.buffers).await
+    }
+
+    #[task(shared = [node, reporter], priority = 1)]
+    async fn exceptions(context: exceptions::Context) {
+        application::report_exceptions(context.shared.node, context.shared.reporter).await
+    }
+
+    /// Brakes as the wheel speed demands, less when the disc is hot.
+    #[task(local = [wheel_speed, brake_force], shared = [node, buffers, reporter, disc], priority = 1)]
+    async fn brake(mut context: brake::Context) {
+        let shared = &mut context.shared;
+        let mut sequence = 0;
+        loop {
+            let event = context.local.wheel_speed.next(&mut shared.node, &mut shared.reporter).await;
+            let centidegrees = shared.disc.lock(|disc| *disc);
+            let content = BrakeForce {
+                sequence,
+                force: signals::brake_force(event.content.speed, centidegrees),
+                based_on: event.content.sequence as u16,
+            };
+            let publisher = &context.local.brake_force;
+            publisher.publish(content, &mut shared.node, &mut shared.buffers, &mut shared.reporter);
+            sequence = sequence.wrapping_add(1);
+        }
+    }
+
+    #[task(local = [temperature], shared = [node, reporter, disc], priority = 1)]
+    async fn watch_temperature(mut context: watch_temperature::Context) {
+        let shared = &mut context.shared;
+        loop {
+            let event = context.local.temperature.next(&mut shared.node, &mut shared.reporter).await;
+            shared.disc.lock(|disc| *disc = event.content.centidegrees);
+        }
+    }
+
+    #[task(local = [suspension], shared = [node, reporter], priority = 1)]
+    async fn watch_suspension(mut context: watch_suspension::Context) {
+        let shared = &mut context.shared;
+        loop {
+            let event = context.local.suspension.next(&mut shared.node, &mut shared.reporter).await;
+            defmt::trace!("{}", event.content);
+        }
+    }
+}

@@ -1,0 +1,147 @@
+//! The sensor: wheel speed in hard real-time every 10 ms, temperature in soft real-time every 20 ms.
+#![no_std]
+#![no_main]
+
+use panic_probe as _;
+
+#[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2, SPI3])]
+mod app {
+    use boards::clock;
+    use cosmic_core::event_layer::{Depth, Policy};
+    use cosmic_core::protocol::Rank;
+    use cosmic_core::time::Duration;
+    use firmware::application::{self, Publisher, Reporter, Subscriber};
+    use firmware::cluster::{self, LogEntry, Temperature, WheelSpeed};
+    use firmware::inbox::{Inbox, Storage};
+    use firmware::node::{Buffers, Node};
+    use firmware::signals;
+    use firmware::start::{Parts, start};
+    use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
+
+    /// A measurement is published this long before its slot.
+    const LEAD: Duration = Duration::from_micros(500);
+    const TEMPERATURE_PERIOD: Duration = Duration::from_millis(20);
+
+    /// In the succession of time masters.
+    const RANK: Rank = Rank::FIRST;
+
+    #[shared]
+    struct Shared {
+        buffers: Buffers,
+        node: Node,
+        reporter: Reporter,
+    }
+
+    #[local]
+    struct Local {
+        calendar: CalendarParts,
+        urgent: UrgentParts,
+        outcomes: OutcomeParts,
+        other: OtherParts,
+        inbox: Inbox,
+        wheel_speed: Publisher<WheelSpeed>,
+        temperature: Publisher<Temperature>,
+        logbook: Subscriber<LogEntry>,
+    }
+
+    #[init(local = [storage: Storage = Storage::new()])]
+    fn init(context: init::Context) -> (Shared, Local) {
+        let parts = start(context.device, cluster::SENSOR, RANK, context.local.storage);
+        let Parts { calendar, urgent, outcomes, other, inbox, mut node, mut buffers, reporter } = parts;
+        let wheel_speed = Publisher::announce(&cluster::WHEEL_SPEED, &mut node, &mut buffers);
+        let temperature = Publisher::announce(&cluster::TEMPERATURE, &mut node, &mut buffers);
+        let policy = Policy::Fifo(const { Depth::new(16).unwrap() });
+        let logbook = Subscriber::subscribe(&cluster::LOGBOOK, policy, &mut node, &mut buffers);
+
+        let spawned = [
+            calendar::spawn(),
+            etch::spawn(),
+            exceptions::spawn(),
+            measure_wheel::spawn(),
+            measure_temperature::spawn(),
+            keep_logbook::spawn(),
+        ];
+        // Each task is spawned once, so there is room for it.
+        defmt::assert!(spawned.iter().all(Result::is_ok));
+        (
+            Shared { buffers, node, reporter },
+            Local { calendar, urgent, outcomes, other, inbox, wheel_speed, temperature, logbook },
+        )
+    }
+
+    #[task(local = [calendar], shared = [buffers], priority = 7)]
+    async fn calendar(context: calendar::Context) {
+        tasks::calendar(context.local.calendar, context.shared.buffers).await
+    }
+
+    #[task(binds = CAN1_RX0, local = [urgent], shared = [buffers], priority = 6)]
+    fn can_rx_urgent(context: can_rx_urgent::Context) {
+        tasks::receive_urgent(context.local.urgent, context.shared.buffers);
+    }
+
+    #[task(binds = CAN1_TX, local = [outcomes], shared = [buffers], priority = 5)]
+    fn can_tx(context: can_tx::Context) {
+        tasks::report_outcomes(context.local.outcomes, context.shared.buffers);
+    }
+
+    #[task(binds = CAN1_RX1, local = [other], priority = 4)]
+    fn can_rx_other(context: can_rx_other::Context) {
+        tasks::receive_other(context.local.other);
+    }
+
+    #[task(local = [inbox], shared = [node, buffers], priority = 3)]
+    async fn etch(context: etch::Context) {
+        tasks::etch(context.local.inbox, context.shared.node, context.shared.buffers).await
+    }
+
+    #[task(shared = [node, reporter], priority = 1)]
+    async fn exceptions(context: exceptions::Context) {
+        application::report_exceptions(context.shared.node, context.shared.reporter).await
+    }
+
+    /// One measurement for each slot of the calendar, shortly before it.
+    #[task(local = [wheel_speed], shared = [node, buffers, reporter], priority = 1)]
+    async fn measure_wheel(mut context: measure_wheel::Context) {
+        let shared = &mut context.shared;
+        // What is published before the others know the time would be lost.
+        while !shared.node.lock(|node| node.clock().is_synchronised(clock::now())) {
+            clock::delay_until(clock::now() + cluster::SYNC.period).await;
+        }
+        clock::delay_until(clock::now() + cluster::SETTLING).await;
+        let mut sequence = 0;
+        loop {
+            let slot = &cluster::WHEEL_SPEED_SLOT;
+            let next = shared.node.lock(|node| node.before_slot(slot, LEAD, clock::now()));
+            clock::delay_until(next).await;
+            let speed = signals::wheel_speed(sequence);
+            let content = WheelSpeed { sequence, speed, valid: true };
+            let publisher = &context.local.wheel_speed;
+            publisher.publish(content, &mut shared.node, &mut shared.buffers, &mut shared.reporter);
+            sequence = sequence.wrapping_add(1);
+        }
+    }
+
+    #[task(local = [temperature], shared = [node, buffers, reporter], priority = 1)]
+    async fn measure_temperature(mut context: measure_temperature::Context) {
+        let shared = &mut context.shared;
+        let mut next = clock::now();
+        let mut sequence = 0;
+        loop {
+            next = next + TEMPERATURE_PERIOD;
+            clock::delay_until(next).await;
+            let content = Temperature { sequence, centidegrees: signals::disc_temperature(sequence) };
+            let publisher = &context.local.temperature;
+            publisher.publish(content, &mut shared.node, &mut shared.buffers, &mut shared.reporter);
+            sequence = sequence.wrapping_add(1);
+        }
+    }
+
+    #[task(local = [logbook], shared = [node, reporter], priority = 1)]
+    async fn keep_logbook(mut context: keep_logbook::Context) {
+        let shared = &mut context.shared;
+        loop {
+            let entry = context.local.logbook.next(&mut shared.node, &mut shared.reporter).await;
+            defmt::debug!("node {}: {}", entry.publisher, entry.content);
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! The event-triggered half of a node together with its two mailboxes, and access to what the halves
+//! share.
+
+use boards::bxcan_rx::{BusStatus, ErrorState};
+use boards::bxcan_tx::{NonRealTimeMailbox, SoftMailbox};
+use boards::clock;
+use cosmic_core::calendar::Slot;
+use cosmic_core::can::{Command, Mailbox, TxNode};
+use cosmic_core::event_half::{EventHalf, HardAccess, Step};
+use cosmic_core::event_layer::{Content, Event, Publication, PublishError};
+use cosmic_core::network::hard::{Dispatcher, HrtBuffers};
+use cosmic_core::protocol::Rank;
+use cosmic_core::services::ClockService;
+use cosmic_core::time::sync::SyncConfig;
+use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
+use rtic::Mutex;
+
+use crate::cluster;
+use crate::inbox::Item;
+
+/// Slots of the calendar in which a node takes part.
+pub const SLOTS: usize = 4;
+const CHANNELS: usize = 8;
+const SUBSCRIPTIONS: usize = 8;
+const EVENTS: usize = 64;
+const SOFT: usize = 16;
+const NON_REAL_TIME: usize = 16;
+
+/// What the two halves of a node share.
+pub type Buffers = HrtBuffers<SLOTS>;
+/// The time-triggered half.
+pub type Calendar = Dispatcher<SLOTS>;
+/// The event-triggered half.
+pub type Half = EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NON_REAL_TIME, ClockService>;
+
+/// The parts of a node that has announced nothing yet, with its rank in the succession of time masters.
+/// For `init`: the settings of the clock synchronisation are checked here.
+pub fn parts(tx_node: TxNode, rank: Rank) -> (Half, Calendar, Buffers) {
+    let config = SyncConfig { rank: Some(rank), ..cluster::SYNC };
+    let clock = ClockService::new(config, &cluster::CALENDAR, Some(tx_node), clock::now());
+    (
+        Half::new(Some(tx_node), &cluster::CALENDAR, defmt::unwrap!(clock)),
+        Calendar::new(&cluster::CALENDAR),
+        Buffers::new(GlobalClock::unsynchronised()),
+    )
+}
+
+/// The event-triggered half and what it drives. A resource of the `etch` task and the application.
+pub struct Node {
+    half: Half,
+    soft: SoftMailbox,
+    non_real_time: NonRealTimeMailbox,
+    bus: BusStatus,
+    is_off: bool,
+}
+
+impl Node {
+    /// Puts it together.
+    pub fn new(half: Half, soft: SoftMailbox, non_real_time: NonRealTimeMailbox, bus: BusStatus) -> Self {
+        Self { half, soft, non_real_time, bus, is_off: false }
+    }
+
+    /// The half itself, to subscribe, fetch events and handle exceptions.
+    pub fn half(&mut self) -> &mut Half {
+        &mut self.half
+    }
+
+    /// Publishes an event. Wake the `etch` task afterwards.
+    ///
+    /// # Errors
+    /// Those of [`EventHalf::publish`].
+    pub fn publish<C: Content>(
+        &mut self,
+        now: Instant,
+        publication: &Publication<C>,
+        event: &Event<C>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<(), PublishError> {
+        if let Some(command) = self.half.publish(now, publication, event, hard)? {
+            self.carry_out(command);
+        }
+        Ok(())
+    }
+
+    /// Takes in what an interrupt or the calendar task has handed over.
+    pub fn take_in(&mut self, item: &Item, hard: &mut impl HardAccess<SLOTS>) {
+        match item {
+            Item::Frame(frame, received_at) => self.half.on_frame(frame, *received_at),
+            Item::Outcome(mailbox, outcome, at) => self.half.on_outcome(*mailbox, *outcome, *at),
+            Item::Notice(buffer, at) => self.half.on_notify(*buffer, *at, hard),
+        }
+    }
+
+    /// Does what is due, and says when something will be, if nothing else happens.
+    ///
+    /// Ends: each turn fills or empties one of two mailboxes, and an emptied one is filled only after its
+    /// outcome was taken in.
+    pub fn attend(&mut self, now: Instant, hard: &mut impl HardAccess<SLOTS>) -> Instant {
+        self.watch_bus(now);
+        loop {
+            match self.half.poll(now, hard) {
+                Step::Command(command) => self.carry_out(command),
+                Step::SleepUntil(instant) => return instant,
+            }
+        }
+    }
+
+    /// The clock as it is now.
+    pub fn clock(&self) -> GlobalClock {
+        self.half.services().clock()
+    }
+
+    /// The next instant that is `lead` before a slot of the calendar is ready, in local time.
+    pub fn before_slot(&self, slot: &Slot, lead: Duration, now: Instant) -> Instant {
+        let clock = self.clock();
+        let period = slot.period.as_ticks().max(1);
+        let from = clock.to_global(now + lead).since_epoch().as_ticks();
+        let since_phase = from.saturating_sub(slot.phase.as_ticks());
+        let ready = slot.phase.as_ticks() + (since_phase / period + 1) * period;
+        let ready = GlobalInstant::from_epoch(Duration::from_ticks(ready));
+        clock.to_local(ready).saturating_sub(lead)
+    }
+
+    fn watch_bus(&mut self, now: Instant) {
+        let is_off = self.bus.errors().state == ErrorState::BusOff;
+        if is_off && !self.is_off {
+            self.half.on_bus_off(now);
+        }
+        self.is_off = is_off;
+    }
+
+    #[inline]
+    fn carry_out(&mut self, command: Command) {
+        match command {
+            Command::Load(Mailbox::Soft, frame) => self.soft.load(&frame),
+            Command::Load(Mailbox::NonRealTime, frame) => self.non_real_time.load(&frame),
+            Command::Withdraw(Mailbox::Soft) => self.soft.withdraw(),
+            Command::Withdraw(Mailbox::NonRealTime) => self.non_real_time.withdraw(),
+            // This half has no hard real-time frames; the calendar task owns that mailbox.
+            Command::Load(Mailbox::Hard, _) | Command::Withdraw(Mailbox::Hard) => {}
+        }
+    }
+}
+
+/// Locks the HRT message buffers for the time of each access.
+pub struct Locked<'a, M>(pub &'a mut M);
+
+impl<M: Mutex<T = Buffers>> HardAccess<SLOTS> for Locked<'_, M> {
+    #[inline]
+    fn with<R>(&mut self, access: impl FnOnce(&mut Buffers) -> R) -> R {
+        self.0.lock(access)
+    }
+}

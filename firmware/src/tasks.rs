@@ -1,0 +1,130 @@
+//! What the tasks of every application do. [The crate](crate) says which runs at which priority.
+
+use boards::bxcan_rx::{FIFO_DEPTH, OtherFrames, UrgentFrames};
+use boards::bxcan_tx::{HardMailbox, TxOutcomes};
+use boards::clock::{self, Mono};
+use boards::stm32f4::MeasuringPoint;
+use cosmic_core::can::{Command, Mailbox, Priority};
+use cosmic_core::network::hard::Step;
+use rtic::Mutex;
+use rtic_monotonics::Timebase as _;
+
+use crate::inbox::{Inbox, Item, Sender};
+use crate::node::{Buffers, Calendar, Locked, Node};
+
+/// What the calendar task owns.
+pub struct CalendarParts {
+    /// The time-triggered half.
+    pub dispatcher: Calendar,
+    /// Its mailbox.
+    pub mailbox: HardMailbox,
+    /// High while the task runs.
+    pub running: MeasuringPoint<12>,
+    /// Changes when the event layer is told of an event that has become visible, or of an omission.
+    pub notified: MeasuringPoint<14>,
+    /// Towards the event layer.
+    pub notices: Sender,
+}
+
+/// What `CAN1_RX0` owns.
+pub struct UrgentParts {
+    /// FIFO 0.
+    pub fifo: UrgentFrames,
+    /// Towards the event layer, for what is not hard real-time.
+    pub frames: Sender,
+}
+
+/// What `CAN1_RX1` owns.
+pub struct OtherParts {
+    /// FIFO 1.
+    pub fifo: OtherFrames,
+    /// Towards the event layer.
+    pub frames: Sender,
+}
+
+/// What `CAN1_TX` owns.
+pub struct OutcomeParts {
+    /// Of all mailboxes.
+    pub outcomes: TxOutcomes,
+    /// Towards the event layer.
+    pub left: Sender,
+}
+
+/// The calendar dispatcher and the TTCH: from one instant of the calendar to the next.
+pub async fn calendar(parts: &mut CalendarParts, mut buffers: impl Mutex<T = Buffers>) -> ! {
+    loop {
+        parts.running.set();
+        let next = loop {
+            let now = clock::now();
+            match buffers.lock(|buffers| parts.dispatcher.poll(now, buffers)) {
+                Step::Command(Command::Load(_, frame)) => parts.mailbox.load(&frame),
+                Step::Command(Command::Withdraw(_)) => parts.mailbox.withdraw(),
+                Step::Notify(buffer) => {
+                    parts.notified.toggle();
+                    parts.notices.send(Item::Notice(buffer, now));
+                }
+                Step::Continue => {}
+                Step::SleepUntil(instant) => break instant,
+            }
+        };
+        parts.running.clear();
+        clock::delay_until(next).await;
+    }
+}
+
+/// Frames of FIFO 0: hard real-time frames go into their buffers, others to the event layer.
+pub fn receive_urgent(parts: &mut UrgentParts, mut buffers: impl Mutex<T = Buffers>) {
+    for _ in 0..FIFO_DEPTH {
+        // Before anything else, since this is the time-stamp.
+        let received_at = clock::now();
+        let Some(frame) = parts.fifo.read() else { return };
+        if frame.id.priority() == Priority::HARD {
+            buffers.lock(|buffers| buffers.on_frame(&frame, received_at));
+        } else {
+            parts.frames.send(Item::Frame(frame, received_at));
+        }
+    }
+}
+
+/// Frames of FIFO 1: all go to the event layer.
+pub fn receive_other(parts: &mut OtherParts) {
+    for _ in 0..FIFO_DEPTH {
+        let received_at = clock::now();
+        let Some(frame) = parts.fifo.read() else { return };
+        parts.frames.send(Item::Frame(frame, received_at));
+    }
+}
+
+/// What became of loaded frames.
+pub fn report_outcomes(parts: &mut OutcomeParts, mut buffers: impl Mutex<T = Buffers>) {
+    let at = clock::now();
+    for _ in Mailbox::ALL {
+        let Some((mailbox, outcome)) = parts.outcomes.take() else { return };
+        if mailbox != Mailbox::Hard {
+            parts.left.send(Item::Outcome(mailbox, outcome, at));
+        } else if let Some(omitted) = buffers.lock(|buffers| buffers.on_outcome(outcome, at)) {
+            parts.left.send(Item::Notice(omitted, at));
+        }
+    }
+}
+
+/// The event-triggered half: takes in what has arrived, and keeps the mailboxes filled.
+pub async fn etch(
+    inbox: &mut Inbox,
+    mut node: impl Mutex<T = Node>,
+    mut buffers: impl Mutex<T = Buffers>,
+) -> ! {
+    loop {
+        // One lock for each item, so that the application waits for one only.
+        while let Some(item) = inbox.take() {
+            node.lock(|node| node.take_in(&item, &mut Locked(&mut buffers)));
+        }
+        let lost = inbox.take_lost();
+        if lost > 0 {
+            defmt::error!("{} frames or notices were lost on the way to the event layer", lost);
+        }
+        let next = node.lock(|node| node.attend(clock::now(), &mut Locked(&mut buffers)));
+        // Either will do: the instant has come, or something has arrived.
+        let _ = Mono::timeout_at(clock::timer(next), inbox.wait()).await;
+    }
+}
