@@ -5,15 +5,15 @@
 //! | `wire`, `peer` | 7 | stand for the bus and another node; no part of a node |
 //! | `calendar` | 6 | calendar dispatcher and TTCH |
 //! | `rx0` | 5 | hard real-time frames into their buffers |
-//! | `tx` | 4 | outcomes of the mailboxes, refill |
-//! | `rx1` | 3 | other frames |
-//! | `etch` | 2 | EDF queue: promotion, missed deadlines, expiry |
-//! | `event_layer` | 1 | the application |
+//! | `tx` | 4 | outcomes of the mailboxes |
+//! | `rx1` | 3 | other frames into the inbox |
+//! | `etch` | 2 | takes in what has arrived, keeps the mailboxes filled |
+//! | `application` | 1 | announces, publishes, subscribes |
 //!
-//! The application has three acts. In the first the lower half is idle. In the second it computes without
-//! a pause, holds its own resources for half a millisecond at a time, and fills the bus, as does the peer;
-//! the calendar task must not notice. In the third it does what no program may do, it turns interrupts
-//! off for 100 µs: to show that a delay, if there was one, would be seen.
+//! The application plays three acts. In the first the lower half has little to do. In the second it
+//! computes without a pause, holds the event-triggered half for half a millisecond at a time, and fills
+//! the bus, as does the peer; the calendar task must not notice. In the third it does what no program may
+//! do, it turns interrupts off for 100 µs: to show that a delay, if there was one, would be seen.
 #![no_std]
 #![no_main]
 
@@ -26,24 +26,26 @@ mod app {
     use core::sync::atomic::{AtomicU8, Ordering};
 
     use cosmic_core::calendar::{Calendar, Segment, Slot};
-    use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
-    use cosmic_core::network::hard::{self, Attach, BufferId, Dispatcher, HrtBuffers, Role};
-    use cosmic_core::network::soft::{self, Etch, Outgoing, PriorityMap, Tag};
+    use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
+    use cosmic_core::event_layer::{
+        Channel, Event, ExceptionKind, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy,
+        Publication, SoftAttributes, Subscription,
+    };
+    use cosmic_core::network::hard::{self, BufferId, Dispatcher, HrtBuffers};
     use cosmic_core::time::{Duration, GlobalClock, Instant};
+    use cosmic_core::{EventHalf, HardAccess, Step, Subject};
+    use heapless::Deque;
     use qemu_tests::hardware::CanHardware;
     use qemu_tests::mono::{self, Mono, Timebase as _, now};
     use qemu_tests::{measured, pass, println};
-    use rtic_sync::make_signal;
-    use rtic_sync::signal::{SignalReader, SignalWriter};
+    use rtic::Mutex;
+    use rtic_sync::signal::Signal;
 
     const NODE: TxNode = TxNode::MIN;
     const PEER: TxNode = TxNode::MAX;
-    const SENT_HARD: Etag = Etag::HARD_FIRST;
-    const RECEIVED_HARD: Etag = Etag::HARD_LAST;
-    const SOFT: Etag = Etag::BOUND_LAST;
 
     const CYCLE: Duration = Duration::from_millis(10);
-    const SLOTS: [Slot; 2] = [slot(SENT_HARD, NODE, 1), slot(RECEIVED_HARD, PEER, 3)];
+    const SLOTS: [Slot; 2] = [slot(Etag::HARD_FIRST, NODE, 1), slot(Etag::HARD_LAST, PEER, 3)];
     const CALENDAR: Calendar = Calendar::checked(
         Segment {
             bit_rate: BitRate::MAX,
@@ -67,6 +69,20 @@ mod app {
         }
     }
 
+    const HARD: HardAttributes = HardAttributes { period: CYCLE, periodic: true, omission_degree: 1 };
+    const OF_NODE: Channel<u64> = Channel::hard(Subject::new(1).unwrap(), SLOTS[0].etag, HARD);
+    const OF_PEER: Channel<u64> = Channel::hard(Subject::new(2).unwrap(), SLOTS[1].etag, HARD);
+    const SOFT: Channel<u64> = Channel::soft(
+        Subject::new(3).unwrap(),
+        SoftAttributes { deadline: Duration::from_millis(2), validity: Duration::from_millis(4) },
+    )
+    .with_etag(Etag::BOUND_FIRST);
+    const BULK: Channel<u64> = Channel::non_real_time(
+        Subject::new(4).unwrap(),
+        NonRealTimeAttributes { importance: Importance::MOST, validity: None },
+    )
+    .with_etag(Etag::BOUND_LAST);
+
     /// How long the lower half holds its resources, in the second act.
     const LONG_CALL: Duration = Duration::from_micros(500);
     /// How long it turns interrupts off, in the third.
@@ -79,58 +95,65 @@ mod app {
     const BUSY: u8 = 1;
     const CRIMINAL: u8 = 2;
 
+    type Buffers = HrtBuffers<4>;
+    type Node = EventHalf<4, 4, 4, 32, 16, 16>;
+    type Inbox = Deque<Item, 32>;
+
+    /// What the interrupts and the calendar task hand to the event-triggered half.
+    pub enum Item {
+        /// Received at that instant.
+        Frame(Frame, Instant),
+        /// A mailbox has become empty.
+        Outcome(Mailbox, Outcome, Instant),
+        /// Something happened to a hard real-time channel.
+        Notice(BufferId, Instant),
+    }
+
     #[shared]
     struct Shared {
-        hard: HrtBuffers<4>,
-        etch: Etch<16, 16>,
+        buffers: Buffers,
+        node: Node,
+        inbox: Inbox,
         hardware: CanHardware,
         /// The latest that the calendar task has come to an instant, in each act.
         latest: [Duration; 3],
-        received_soft: u32,
     }
 
     #[local]
     struct Local {
-        wire_after_calendar: SignalWriter<'static, ()>,
-        wire_after_tx: SignalWriter<'static, ()>,
-        wire_after_etch: SignalWriter<'static, ()>,
-        wire_after_peer: SignalWriter<'static, ()>,
-        etch_after_tx: SignalWriter<'static, ()>,
-        etch_after_submit: SignalWriter<'static, ()>,
+        dispatcher: Dispatcher<4>,
     }
+
+    /// Something has changed before the instant for which `wire` sleeps.
+    static WIRE: Signal<()> = Signal::new();
+    /// The same for `etch`.
+    static ETCH: Signal<()> = Signal::new();
 
     #[init]
     fn init(_: init::Context) -> (Shared, Local) {
         Mono::start();
-        let mut hard = HrtBuffers::new(GlobalClock::free_running());
-        let [publishes, subscribes] =
-            [true, false].map(|publishes| Role { publishes, subscribes: !publishes });
-        let sent = hard.attach(&Attach { calendar: &CALENDAR, slot: &SLOTS[0], role: publishes }).unwrap();
-        let received =
-            hard.attach(&Attach { calendar: &CALENDAR, slot: &SLOTS[1], role: subscribes }).unwrap();
-        let (to_wire, wire_changed) = make_signal!(());
-        let (to_etch, etch_changed) = make_signal!(());
-        wire::spawn(wire_changed).ok().unwrap();
-        peer::spawn().ok().unwrap();
-        calendar::spawn().ok().unwrap();
-        etch::spawn(etch_changed).ok().unwrap();
-        event_layer::spawn(sent, received).ok().unwrap();
+        let mut buffers = Buffers::new(GlobalClock::free_running());
+        let mut node = Node::new(Some(NODE), &CALENDAR, ());
+        let access = &mut buffers;
+        let channels = Channels {
+            hard: node.announce(&OF_NODE, access).unwrap(),
+            soft: node.announce(&SOFT, access).unwrap(),
+            bulk: node.announce(&BULK, access).unwrap(),
+        };
+        let from_peer = node.subscribe(&OF_PEER, Filter::ALL, Policy::Latest, access).unwrap();
+        wire::spawn().unwrap();
+        peer::spawn().unwrap();
+        calendar::spawn().unwrap();
+        etch::spawn().unwrap();
+        application::spawn(channels, from_peer).ok().unwrap();
         let shared = Shared {
-            hard,
-            etch: Etch::new(PriorityMap::of(BitRate::MAX)),
+            buffers,
+            node,
+            inbox: Inbox::new(),
             hardware: CanHardware::new(BitRate::MAX),
             latest: [Duration::from_ticks(0); 3],
-            received_soft: 0,
         };
-        let local = Local {
-            wire_after_calendar: to_wire.clone(),
-            wire_after_tx: to_wire.clone(),
-            wire_after_etch: to_wire.clone(),
-            wire_after_peer: to_wire,
-            etch_after_tx: to_etch.clone(),
-            etch_after_submit: to_etch,
-        };
-        (shared, local)
+        (shared, Local { dispatcher: Dispatcher::new(&CALENDAR) })
     }
 
     #[idle]
@@ -140,7 +163,8 @@ mod app {
 
     /// The bus: frames end at their instants.
     #[task(priority = 7, shared = [hardware])]
-    async fn wire(mut cx: wire::Context, mut changed: SignalReader<'static, ()>) {
+    async fn wire(mut cx: wire::Context) {
+        let mut changed = WIRE.take_reader();
         loop {
             let next = cx.shared.hardware.lock(|hardware| {
                 hardware.advance(now());
@@ -150,41 +174,36 @@ mod app {
         }
     }
 
-    /// Another node: sends in its slot, and while this one is busy as much other traffic again.
-    #[task(priority = 7, local = [wire_after_peer], shared = [hardware])]
+    /// Another node: sends in its slot, and much else while this one is busy.
+    #[task(priority = 7, shared = [hardware])]
     async fn peer(mut cx: peer::Context) {
-        let frame = |priority, etag, payload| Frame::new(Id::new(priority, PEER, etag), payload);
-        let mut cycle = Instant::EPOCH;
-        for count in 1_u64.. {
-            // Well before the latest start time.
-            let ready = cycle + SLOTS[1].phase + Duration::from_micros(50);
-            Mono::delay_until(mono::instant(ready)).await;
-            let hard = frame(Priority::HARD, RECEIVED_HARD, Payload::full(count.to_be_bytes()));
-            cx.shared.hardware.lock(|hardware| hardware.peer_sends(hard, now()));
-            cx.local.wire_after_peer.write(());
-            cycle = cycle + CYCLE;
-            let mut at = ready + Duration::from_millis(1);
-            while ACT.load(Ordering::Relaxed) != IDLE && at < cycle {
+        let mut send = |priority, etag, payload| {
+            let frame = Frame::new(Id::new(priority, PEER, etag), payload);
+            cx.shared.hardware.lock(|hardware| hardware.peer_sends(frame, now()));
+            WIRE.writer().write(());
+        };
+        for cycle in 0..u32::MAX {
+            let start = Instant::EPOCH + CYCLE * cycle;
+            // Some time after its ready instant, well before its latest start time.
+            let loaded = start + SLOTS[1].phase + Duration::from_micros(50);
+            Mono::delay_until(mono::instant(loaded)).await;
+            send(Priority::HARD, SLOTS[1].etag, Payload::full(u64::from(cycle).to_be_bytes()));
+            let mut at = start + Duration::from_millis(4);
+            while ACT.load(Ordering::Relaxed) != IDLE && at < start + CYCLE {
                 Mono::delay_until(mono::instant(at)).await;
-                let soft = frame(Priority::SOFT_LEAST_URGENT, SOFT, Payload::EMPTY);
-                cx.shared.hardware.lock(|hardware| hardware.peer_sends(soft, now()));
-                cx.local.wire_after_peer.write(());
-                at = at + Duration::from_micros(160);
+                send(Priority::SOFT_LEAST_URGENT, Etag::BOUND_FIRST, Payload::full([0; 8]));
+                at = at + Duration::from_micros(320);
             }
         }
     }
 
-    #[task(priority = 6, local = [wire_after_calendar], shared = [hard, hardware, latest])]
+    #[task(priority = 6, local = [dispatcher], shared = [buffers, hardware, inbox, latest])]
     async fn calendar(mut cx: calendar::Context) {
-        let mut dispatcher = Dispatcher::<4>::new(&CALENDAR);
         loop {
-            match cx.shared.hard.lock(|hard| dispatcher.poll(now(), hard)) {
-                hard::Step::Command(command) => {
-                    cx.shared.hardware.lock(|hardware| hardware.execute(command, now()));
-                    cx.local.wire_after_calendar.write(());
-                }
-                // The event layer looks by itself.
-                hard::Step::Notify(_) | hard::Step::Continue => {}
+            match cx.shared.buffers.lock(|buffers| cx.local.dispatcher.poll(now(), buffers)) {
+                hard::Step::Command(command) => execute(command, &mut cx.shared.hardware),
+                hard::Step::Notify(buffer) => post(Item::Notice(buffer, now()), &mut cx.shared.inbox),
+                hard::Step::Continue => {}
                 hard::Step::SleepUntil(instant) => {
                     Mono::delay_until(mono::instant(instant)).await;
                     let late = now().saturating_since(instant);
@@ -195,134 +214,124 @@ mod app {
         }
     }
 
-    #[task(binds = GPIO0_4, priority = 5, shared = [hard, hardware])]
+    #[task(binds = GPIO0_4, priority = 5, shared = [buffers, hardware])]
     fn rx0(mut cx: rx0::Context) {
         let received_at = now();
         while let Some(frame) = cx.shared.hardware.lock(|hardware| hardware.receive(0)) {
-            assert!(cx.shared.hard.lock(|hard| hard.on_frame(&frame, received_at)));
+            assert!(cx.shared.buffers.lock(|buffers| buffers.on_frame(&frame, received_at)));
         }
     }
 
-    #[task(binds = GPIO0_5, priority = 4, local = [wire_after_tx, etch_after_tx], shared = [hard, etch, hardware])]
+    #[task(binds = GPIO0_5, priority = 4, shared = [buffers, hardware, inbox])]
     fn tx(mut cx: tx::Context) {
         let at = now();
-        if let Some(outcome) = cx.shared.hardware.lock(|hardware| hardware.take_outcome(Mailbox::Hard)) {
-            cx.shared.hard.lock(|hard| hard.on_outcome(outcome, at));
-        }
-        for mailbox in [Mailbox::Soft, Mailbox::NonRealTime] {
-            if let Some(outcome) = cx.shared.hardware.lock(|hardware| hardware.take_outcome(mailbox)) {
-                // An exception is counted by the path.
-                let _ = cx.shared.etch.lock(|etch| etch.on_outcome(mailbox, outcome, at));
+        for mailbox in Mailbox::ALL {
+            let outcome = cx.shared.hardware.lock(|hardware| hardware.take_outcome(mailbox));
+            match (mailbox, outcome) {
+                (_, None) => {}
+                (Mailbox::Hard, Some(outcome)) => {
+                    cx.shared.buffers.lock(|buffers| buffers.on_outcome(outcome, at));
+                }
+                (_, Some(outcome)) => post(Item::Outcome(mailbox, outcome, at), &mut cx.shared.inbox),
             }
         }
-        refill(&mut cx.shared.etch, &mut cx.shared.hardware);
-        cx.local.wire_after_tx.write(());
-        cx.local.etch_after_tx.write(());
     }
 
-    #[task(binds = GPIO0_6, priority = 3, shared = [hardware, received_soft])]
+    #[task(binds = GPIO0_6, priority = 3, shared = [hardware, inbox])]
     fn rx1(mut cx: rx1::Context) {
-        while cx.shared.hardware.lock(|hardware| hardware.receive(1)).is_some() {
-            cx.shared.received_soft.lock(|count| *count += 1);
+        let received_at = now();
+        while let Some(frame) = cx.shared.hardware.lock(|hardware| hardware.receive(1)) {
+            post(Item::Frame(frame, received_at), &mut cx.shared.inbox);
         }
     }
 
-    #[task(priority = 2, local = [wire_after_etch], shared = [etch, hardware])]
-    async fn etch(mut cx: etch::Context, mut changed: SignalReader<'static, ()>) {
+    #[task(priority = 2, shared = [buffers, hardware, inbox, node])]
+    async fn etch(mut cx: etch::Context) {
+        let mut changed = ETCH.take_reader();
         loop {
-            let next = refill(&mut cx.shared.etch, &mut cx.shared.hardware);
-            cx.local.wire_after_etch.write(());
+            while let Some(item) = cx.shared.inbox.lock(|inbox| inbox.pop_front()) {
+                cx.shared.node.lock(|node| match item {
+                    Item::Frame(frame, at) => node.on_frame(&frame, at),
+                    Item::Outcome(mailbox, outcome, at) => node.on_outcome(mailbox, outcome, at),
+                    Item::Notice(buffer, at) => {
+                        node.on_notify(buffer, at, &mut Locked(&mut cx.shared.buffers))
+                    }
+                });
+            }
+            // One lock around all, so that commands reach the mailboxes in their order.
+            let next = cx.shared.node.lock(|node| {
+                loop {
+                    match node.poll(now(), &mut Locked(&mut cx.shared.buffers)) {
+                        Step::Command(command) => execute(command, &mut cx.shared.hardware),
+                        Step::SleepUntil(instant) => return instant,
+                    }
+                }
+            });
             let _ = Mono::timeout_at(mono::instant(next), changed.wait()).await;
         }
     }
 
-    /// Has the path do what is due, and gives the instant until which nothing more is.
-    fn refill(
-        etch: &mut impl rtic::Mutex<T = Etch<16, 16>>,
-        hardware: &mut impl rtic::Mutex<T = CanHardware>,
-    ) -> Instant {
-        // The lock is held across the loop, so that commands reach the mailboxes in their order.
-        etch.lock(|etch| {
-            loop {
-                match etch.poll(now()) {
-                    soft::Step::Command(command) => {
-                        hardware.lock(|hardware| hardware.execute(command, now()));
-                    }
-                    soft::Step::Exception(_) => {}
-                    soft::Step::SleepUntil(instant) => return instant,
-                }
-            }
-        })
-    }
-
-    #[task(
-        priority = 1,
-        local = [etch_after_submit],
-        shared = [hard, etch, hardware, latest, received_soft],
-    )]
-    async fn event_layer(mut cx: event_layer::Context, sent: BufferId, received: BufferId) {
-        let mut delivered = 0;
-        for (act, name) in [(IDLE, "idle"), (BUSY, "busy"), (CRIMINAL, "interrupts off")] {
+    #[task(priority = 1, shared = [buffers, hardware, latest, node])]
+    async fn application(mut cx: application::Context, channels: Channels, from_peer: Subscription<u64>) {
+        let mut report = Report::default();
+        for cycle in 0..3 * CYCLES_PER_ACT {
+            let act = (cycle / CYCLES_PER_ACT) as u8;
             ACT.store(act, Ordering::Relaxed);
-            let before = cx.shared.hard.lock(|hard| hard.counters(sent).unwrap());
-            let delivered_before = delivered;
-            let sent_soft_before = cx.shared.etch.lock(|etch| etch.counters().sent);
-            for cycle in 1..=CYCLES_PER_ACT {
-                let cycles = u32::from(act) * CYCLES_PER_ACT + cycle;
-                let end = Instant::EPOCH + CYCLE * cycles;
-                cx.shared.hard.lock(|hard| hard.publish(sent, Payload::full([cycle as u8; 8])));
-                while act == BUSY && now() < end.saturating_sub(LONG_CALL + LONG_CALL) {
-                    cx.shared.etch.lock(|etch| {
-                        let hardware = &mut cx.shared.hardware;
-                        long_call(etch, |command| {
-                            hardware.lock(|hardware| hardware.execute(command, now()));
-                        });
-                    });
-                    cx.local.etch_after_submit.write(());
-                }
-                while act == CRIMINAL && now() < end.saturating_sub(CRIME + CRIME) {
-                    cortex_m::interrupt::free(|_| compute_until(now() + CRIME));
-                }
-                Mono::delay_until(mono::instant(end)).await;
-                if let Some(delivery) = cx.shared.hard.lock(|hard| hard.take(received)) {
-                    delivered += 1;
-                    if act != CRIMINAL {
-                        assert_eq!(delivery.payload, Payload::full(u64::to_be_bytes(delivered)));
-                    }
-                }
+            let event = Event::new(u64::from(cycle));
+            cx.shared.node.lock(|node| {
+                node.publish(now(), &channels.hard, &event, &mut Locked(&mut cx.shared.buffers)).unwrap()
+            });
+            let end = Instant::EPOCH + CYCLE * (cycle + 1);
+            while act == BUSY && now() < end.saturating_sub(LONG_CALL * 2) {
+                cx.shared.node.lock(|node| {
+                    let access = &mut Locked(&mut cx.shared.buffers);
+                    long_call(node, &channels, access, &mut cx.shared.hardware);
+                });
+                ETCH.writer().write(());
             }
-            let counts = cx.shared.hard.lock(|hard| hard.counters(sent).unwrap());
-            let latest = cx.shared.latest.lock(|latest| latest[usize::from(act)]);
-            let in_time = latest <= CALENDAR.segment().release_jitter;
-            println!("{}: calendar task {}", name, if in_time { "in time" } else { "delayed" });
-            measured!("{}: calendar task late by {} ns at most", name, latest.as_ticks());
-            if act != CRIMINAL {
-                println!("  hard events sent: {}", counts.sent - before.sent);
-                println!("  hard events delivered: {}", delivered - delivered_before);
-                let sent_soft = cx.shared.etch.lock(|etch| etch.counters().sent) - sent_soft_before;
-                println!("  soft events sent: {}", if sent_soft >= 100 { "hundreds" } else { "few" });
-                measured!("{}: {} soft events sent", name, sent_soft);
+            while act == CRIMINAL && now() < end.saturating_sub(CRIME * 2) {
+                cortex_m::interrupt::free(|_| compute_until(now() + CRIME));
+            }
+            Mono::delay_until(mono::instant(end)).await;
+            while let Some(delivered) = cx.shared.node.lock(|node| node.next(&from_peer)) {
+                assert_eq!(delivered.publisher, PEER);
+                assert_eq!(delivered.content, u64::from(cycle));
+                report.delivered += 1;
+            }
+            if (cycle + 1) % CYCLES_PER_ACT == 0 {
+                let latest = cx.shared.latest.lock(|latest| latest[usize::from(act)]);
+                let sent = cx.shared.buffers.lock(|buffers| {
+                    let buffer = buffers.find(SLOTS[0].etag, NODE).unwrap();
+                    buffers.counters(buffer).unwrap().sent
+                });
+                cx.shared.node.lock(|node| report.print(act, latest, sent, node));
             }
         }
-        let received_soft = cx.shared.received_soft.lock(|count| *count);
         let overruns = cx.shared.hardware.lock(|hardware| hardware.overruns());
-        measured!("{} soft events of the peer received, {} lost", received_soft, overruns);
+        measured!("{} frames of the peer lost in FIFOs", overruns);
         pass()
     }
 
-    /// A long call of the event layer: it fills the queues and computes, all the while with the
-    /// resources of the lower half in its hands.
-    fn long_call(etch: &mut Etch<16, 16>, mut execute: impl FnMut(Command)) {
+    /// What the application publishes.
+    pub struct Channels {
+        hard: Publication<u64>,
+        soft: Publication<u64>,
+        bulk: Publication<u64>,
+    }
+
+    /// A long call in the lower half: it fills the queues and computes, all the while with the
+    /// event-triggered half in its hands.
+    fn long_call(
+        node: &mut Node,
+        channels: &Channels,
+        access: &mut impl HardAccess<4>,
+        hardware: &mut impl Mutex<T = CanHardware>,
+    ) {
         let start = now();
-        for tag in 0..16 {
-            let id = Id::new(Priority::LEAST, NODE, SOFT);
-            let deadline = start + Duration::from_millis(2);
-            let expires_at = start + Duration::from_millis(4);
-            let frame = Frame::new(id, Payload::full([tag; 8]));
-            let event = Outgoing { tag: Tag(tag), frame, deadline, expires_at };
-            // Most are refused, because the queues are full already.
-            for submitted in [etch.submit_non_real_time(start, event), etch.submit_soft(start, event)] {
-                submitted.ok().flatten().into_iter().for_each(&mut execute);
+        for publication in [&channels.soft, &channels.bulk] {
+            // The last is refused: the queue is full.
+            while let Ok(command) = node.publish(start, publication, &Event::new(0), access) {
+                command.into_iter().for_each(|command| execute(command, hardware));
             }
         }
         compute_until(start + LONG_CALL);
@@ -331,6 +340,65 @@ mod app {
     fn compute_until(end: Instant) {
         while now() < end {
             core::hint::spin_loop();
+        }
+    }
+
+    fn execute(command: Command, hardware: &mut impl Mutex<T = CanHardware>) {
+        hardware.lock(|hardware| hardware.execute(command, now()));
+        WIRE.writer().write(());
+    }
+
+    fn post(item: Item, inbox: &mut impl Mutex<T = Inbox>) {
+        assert!(inbox.lock(|inbox| inbox.push_back(item)).is_ok(), "the inbox is full");
+        ETCH.writer().write(());
+    }
+
+    /// Locks the message buffers for the time of each access.
+    struct Locked<'a, M>(&'a mut M);
+
+    impl<M: Mutex<T = Buffers>> HardAccess<4> for Locked<'_, M> {
+        fn with<R>(&mut self, access: impl FnOnce(&mut Buffers) -> R) -> R {
+            self.0.lock(access)
+        }
+    }
+
+    /// What happened, act by act.
+    #[derive(Default)]
+    struct Report {
+        delivered: u32,
+        delivered_before: u32,
+        sent_before: u32,
+        soft_before: u32,
+    }
+
+    impl Report {
+        fn print(&mut self, act: u8, latest: Duration, sent: u32, node: &Node) {
+            let name = ["idle", "busy", "interrupts off"][usize::from(act)];
+            let in_time = latest <= CALENDAR.segment().release_jitter;
+            println!("{}: calendar task {}", name, if in_time { "in time" } else { "delayed" });
+            measured!("{}: calendar task late by {} ns at most", name, latest.as_ticks());
+            if act == CRIMINAL {
+                return;
+            }
+            let soft = node.etch_counters().sent;
+            println!("  hard events sent: {}", sent - self.sent_before);
+            println!("  hard events delivered: {}", self.delivered - self.delivered_before);
+            println!(
+                "  soft events sent: {}",
+                if soft - self.soft_before >= 100 { "hundreds" } else { "few" }
+            );
+            for kind in [
+                ExceptionKind::OmissionDegreeExceeded,
+                ExceptionKind::NothingPublished,
+                ExceptionKind::SlotSkipped,
+                ExceptionKind::MissedEvent,
+                ExceptionKind::QueueFull,
+            ] {
+                assert_eq!(node.exceptions(kind), 0, "{kind:?}");
+            }
+            measured!("{}: {} soft events sent", name, soft - self.soft_before);
+            measured!("{}: {:?}", name, node.etch_counters());
+            (self.delivered_before, self.sent_before, self.soft_before) = (self.delivered, sent, soft);
         }
     }
 }
