@@ -8,6 +8,26 @@
 //! Nothing here reads a clock: the caller gives commands at virtual instants and advances the bus, which
 //! appends what happened to the caller's list of [`Event`]s. One seed and one sequence of commands give
 //! one sequence of events and one trace, byte for byte.
+//!
+//! ```
+//! use cosmic_bus::{Bus, EventKind, FaultModel, WireFrame};
+//! use cosmic_core::can::BitRate;
+//! use embedded_can::{Frame as _, StandardId};
+//!
+//! let mut bus = Bus::new(BitRate::MAX, FaultModel::none());
+//! let (sender, receiver) = (bus.attach("sender"), bus.attach("receiver"));
+//! let frame = WireFrame::new(StandardId::ZERO, &[]).ok_or("more than eight bytes")?;
+//! bus.load(bus.now(), sender, 0, frame)?;
+//!
+//! let mut events = Vec::new();
+//! let end = bus.now() + bus.bit_rate().longest_frame(8);
+//! bus.advance(end, &mut events);
+//! assert_eq!((events[0].station, events[0].kind), (receiver, EventKind::Received(frame)));
+//! assert_eq!(events[0].at.duration_since_epoch().as_micros(), 49);
+//! assert_eq!((events[1].station, events[1].kind), (sender, EventKind::Sent { mailbox: 0 }));
+//! assert_eq!(events[1].at.duration_since_epoch().as_micros(), 50);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 #![forbid(unsafe_code)]
 
 mod accounting;

@@ -96,7 +96,7 @@ impl Run {
     fn play(&mut self, script: &Script) -> Vec<Event> {
         let mut events = Vec::new();
         for (pause, command) in script {
-            self.at = self.at + *pause;
+            self.at += *pause;
             self.bus.advance(self.at, &mut events);
             self.command(command);
         }
@@ -115,7 +115,7 @@ proptest! {
         let mut quiet_until = run.bus.quiet_until();
         let mut events = Vec::new();
         for (pause, command) in &script {
-            run.at = run.at + *pause;
+            run.at += *pause;
             run.bus.advance(run.at, &mut events);
             run.command(command);
             run.bus.advance(run.at, &mut events);
@@ -138,7 +138,7 @@ proptest! {
         let mut run = Run::new(faults);
         let mut events = Vec::new();
         for (pause, command) in &script {
-            run.at = run.at + *pause;
+            run.at += *pause;
             run.bus.advance(run.at, &mut events);
             run.command(command);
             events.clear();
