@@ -120,7 +120,7 @@ fn measure_elf(bytes: &[u8]) -> Result<ImageSize> {
         size.ram += if kept.in_ram { section.size() } else { 0 };
     }
     size.core_flash = attribution::code_bytes(&file, "cosmic-core/src/")?;
-    size.core_ram = attribution::variable_bytes(&file, "cosmic_core::")?;
+    size.core_ram = attribution::variable_bytes(&file, "cosmic_core")?;
     Ok(size)
 }
 

@@ -1,17 +1,18 @@
 //! Which crate a byte of an image came from, by its debug information.
 
 use std::borrow::Cow;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use anyhow::Result;
 use gimli::{
     AttributeValue, DebuggingInformationEntry, Dwarf, EndianSlice, LineProgramHeader, RunTimeEndian,
 };
-use object::{Object as _, ObjectSection as _, ObjectSymbol as _, SectionKind, SymbolKind};
+use object::{Object as _, ObjectSection as _, SectionKind};
 
 type Reader<'a> = EndianSlice<'a, RunTimeEndian>;
 type Unit<'a> = gimli::Unit<Reader<'a>>;
-type Entry<'u, 'a> = DebuggingInformationEntry<Reader<'a>>;
+type Entry<'a> = DebuggingInformationEntry<Reader<'a>>;
+type Offset = gimli::UnitOffset<usize>;
 
 /// Bytes of code whose source line is in a file whose path contains `directory`.
 ///
@@ -75,40 +76,36 @@ fn path(
     Ok(path)
 }
 
-/// Bytes of variables whose type's name contains `path`.
-pub(super) fn variable_bytes(file: &object::File<'_>, path: &str) -> Result<u64> {
+/// Bytes of variables that are of a type of the crate, or parts of variables that are.
+pub(super) fn variable_bytes(file: &object::File<'_>, crate_name: &str) -> Result<u64> {
     let sections = Sections::load(file)?;
     let dwarf = sections.dwarf(file);
-    let sizes: HashMap<u64, u64> = file
-        .symbols()
-        .filter(|symbol| symbol.kind() == SymbolKind::Data)
-        .map(|symbol| (symbol.address(), symbol.size()))
-        .collect();
     let writable: Vec<(u64, u64)> = file
         .sections()
         .filter(|section| matches!(section.kind(), SectionKind::Data | SectionKind::UninitializedData))
         .map(|section| (section.address(), section.address() + section.size()))
         .collect();
-    let mut counted = BTreeSet::new();
+    let mut counted = BTreeMap::new();
     let mut units = dwarf.units();
     while let Some(header) = units.next()? {
         let unit = dwarf.unit(header)?;
+        let types = Types { unit: &unit, ours: types_of(&dwarf, &unit, crate_name)? };
         let mut entries = unit.entries();
         while let Some(entry) = entries.next_dfs()? {
             if entry.tag() != gimli::DW_TAG_variable {
                 continue;
             }
             let Some(address) = static_address(&unit, entry)? else { continue };
-            if is_in(&writable, address) && type_name(&dwarf, &unit, entry)?.contains(path) {
-                counted.insert(address);
+            if is_in(&writable, address) {
+                counted.insert(address, types.bytes_of(entry, DEEPEST)?);
             }
         }
     }
-    Ok(counted.iter().filter_map(|address| sizes.get(address)).sum())
+    Ok(counted.values().sum())
 }
 
 /// Where a variable stands, if its place is fixed.
-fn static_address(unit: &Unit<'_>, variable: &Entry<'_, '_>) -> Result<Option<u64>> {
+fn static_address(unit: &Unit<'_>, variable: &Entry<'_>) -> Result<Option<u64>> {
     let Some(AttributeValue::Exprloc(expression)) = variable.attr_value(gimli::DW_AT_location) else {
         return Ok(None);
     };
@@ -119,18 +116,77 @@ fn static_address(unit: &Unit<'_>, variable: &Entry<'_, '_>) -> Result<Option<u6
     })
 }
 
-fn type_name<'a>(dwarf: &Dwarf<Reader<'a>>, unit: &Unit<'a>, entry: &Entry<'_, 'a>) -> Result<Cow<'a, str>> {
-    let Some(AttributeValue::UnitRef(offset)) = entry.attr_value(gimli::DW_AT_type) else {
-        return Ok(Cow::Borrowed(""));
-    };
-    let kind = unit.entry(offset)?;
-    match kind.attr_value(gimli::DW_AT_name) {
-        Some(name) => Ok(dwarf.attr_string(unit, name)?.to_string_lossy()),
-        // An array has no name; its elements have.
-        None if kind.tag() == gimli::DW_TAG_array_type => type_name(dwarf, unit, &kind),
-        None => Ok(Cow::Borrowed("")),
+/// The types that stand in the namespace of a crate.
+fn types_of(dwarf: &Dwarf<Reader<'_>>, unit: &Unit<'_>, crate_name: &str) -> Result<HashSet<usize>> {
+    let mut ours = HashSet::new();
+    // The depth of the namespace that we are in.
+    let mut inside: Option<isize> = None;
+    let mut entries = unit.entries();
+    while let Some(entry) = entries.next_dfs()? {
+        let depth = entry.depth();
+        inside = inside.filter(|&namespace| depth > namespace);
+        if inside.is_some() {
+            ours.insert(entry.offset().0);
+        } else if entry.tag() == gimli::DW_TAG_namespace
+            && let Some(name) = entry.attr_value(gimli::DW_AT_name)
+            && dwarf.attr_string(unit, name)?.slice() == crate_name.as_bytes()
+        {
+            inside = Some(depth);
+        }
+    }
+    Ok(ours)
+}
+
+struct Types<'u, 'a> {
+    unit: &'u Unit<'a>,
+    ours: HashSet<usize>,
+}
+
+impl Types<'_, '_> {
+    /// How much of a variable or field is of our types.
+    fn bytes_of(&self, entry: &Entry<'_>, deepest: u32) -> Result<u64> {
+        let Some(AttributeValue::UnitRef(offset)) = entry.attr_value(gimli::DW_AT_type) else { return Ok(0) };
+        let kind = self.unit.entry(offset)?;
+        let size = kind.attr_value(gimli::DW_AT_byte_size).and_then(|size| size.udata_value()).unwrap_or(0);
+        if self.ours.contains(&offset.0) {
+            return Ok(size);
+        }
+        let Some(deeper) = deepest.checked_sub(1) else { return Ok(0) };
+        match kind.tag() {
+            gimli::DW_TAG_array_type => self.of_array(offset, &kind, deeper),
+            gimli::DW_TAG_structure_type => self.of_fields(offset, deeper, |sum, field| sum + field),
+            // Only one of the fields is there.
+            gimli::DW_TAG_union_type => self.of_fields(offset, deeper, u64::max),
+            _ => Ok(0),
+        }
+    }
+
+    fn of_fields(&self, offset: Offset, deepest: u32, join: fn(u64, u64) -> u64) -> Result<u64> {
+        let mut tree = self.unit.entries_tree(Some(offset))?;
+        let mut children = tree.root()?.children();
+        let mut bytes = 0;
+        while let Some(child) = children.next()? {
+            if child.entry().tag() == gimli::DW_TAG_member {
+                bytes = join(bytes, self.bytes_of(child.entry(), deepest)?);
+            }
+        }
+        Ok(bytes)
+    }
+
+    fn of_array(&self, offset: Offset, array: &Entry<'_>, deepest: u32) -> Result<u64> {
+        let mut tree = self.unit.entries_tree(Some(offset))?;
+        let mut children = tree.root()?.children();
+        let mut count = 0;
+        while let Some(child) = children.next()? {
+            let value = child.entry().attr_value(gimli::DW_AT_count);
+            count = value.and_then(|value| value.udata_value()).unwrap_or(count);
+        }
+        Ok(count * self.bytes_of(array, deepest)?)
     }
 }
+
+/// No variable nests deeper; it keeps a damaged file from an endless search.
+const DEEPEST: u32 = 24;
 
 /// The debug sections of a file, uncompressed.
 struct Sections<'a>(gimli::DwarfSections<Cow<'a, [u8]>>);
