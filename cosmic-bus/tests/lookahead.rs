@@ -6,7 +6,8 @@ mod common;
 use common::standard;
 use cosmic_bus::trace::{Candump, TraceEvent};
 use cosmic_bus::{
-    Bus, Chance, Event, EventKind, FaultModel, MAILBOXES, StationId, VirtualInstant, WireFrame,
+    Bus, BusOffRecovery, Chance, Event, EventKind, FaultModel, MAILBOXES, StationId, VirtualInstant,
+    WireFrame,
 };
 use cosmic_core::can::BitRate;
 use cosmic_core::time::Duration;
@@ -17,25 +18,60 @@ const STATIONS: usize = 5;
 
 #[derive(Clone, Debug)]
 enum Command {
-    Load { station: usize, mailbox: usize, frame: WireFrame },
-    Withdraw { station: usize, mailbox: usize },
+    Load {
+        station: usize,
+        mailbox: usize,
+        frame: WireFrame,
+    },
+    Withdraw {
+        station: usize,
+        mailbox: usize,
+    },
     Pass,
+    /// Of the commands below, `quiet_until` says nothing.
+    Connect {
+        station: usize,
+        connected: bool,
+    },
+    Reset {
+        station: usize,
+    },
+    RequestRecovery {
+        station: usize,
+    },
 }
 
 /// A command, and how long after the one before it.
 type Script = Vec<(Duration, Command)>;
 
+/// Frames are loaded and withdrawn.
 fn any_script() -> impl Strategy<Value = Script> {
+    script_of(any_transfer().boxed())
+}
+
+/// Stations come and go besides.
+fn any_eventful_script() -> impl Strategy<Value = Script> {
+    let station = 0..STATIONS;
+    let other = prop_oneof![
+        2 => (station.clone(), any::<bool>())
+            .prop_map(|(station, connected)| Command::Connect { station, connected }),
+        1 => station.clone().prop_map(|station| Command::Reset { station }),
+        1 => station.prop_map(|station| Command::RequestRecovery { station }),
+    ];
+    script_of(prop_oneof![3 => any_transfer(), 1 => other].boxed())
+}
+
+fn script_of(command: BoxedStrategy<Command>) -> impl Strategy<Value = Script> {
     let pause = prop_oneof![
         3 => Just(0),
         3 => 0..5_000_u64,
         3 => 0..300_000_u64,
         1 => 0..5_000_000_u64,
     ];
-    prop::collection::vec((pause.prop_map(Duration::from_ticks), any_command()), 1..80)
+    prop::collection::vec((pause.prop_map(Duration::from_ticks), command), 1..80)
 }
 
-fn any_command() -> impl Strategy<Value = Command> {
+fn any_transfer() -> impl Strategy<Value = Command> {
     // Few identifiers: collisions of equal and of different contents are frequent.
     let frame = (0..6_u32, any::<bool>(), prop::collection::vec(prop_oneof![Just(0), Just(0xFF)], 0..=8))
         .prop_map(|(id, is_extended, data)| {
@@ -75,7 +111,8 @@ impl Run {
     fn new(faults: FaultModel) -> Self {
         let mut bus = Bus::new(BitRate::MAX, faults);
         bus.record_trace(true);
-        let stations = (0..STATIONS).map(|number| bus.attach(format!("{number}"))).collect();
+        let stations: Vec<_> = (0..STATIONS).map(|number| bus.attach(format!("{number}"))).collect();
+        bus.set_bus_off_recovery(stations[0], BusOffRecovery::OnRequest);
         Self { bus, stations, at: VirtualInstant::from_ticks(0), loads: 0, trace: Vec::new() }
     }
 
@@ -89,6 +126,16 @@ impl Run {
                 self.bus.withdraw(self.at, self.stations[*station], *mailbox);
             }
             Command::Pass => {}
+            Command::Connect { station, connected: true } => {
+                self.bus.connect(self.at, self.stations[*station]);
+            }
+            Command::Connect { station, connected: false } => {
+                self.bus.disconnect(self.at, self.stations[*station]);
+            }
+            Command::Reset { station } => self.bus.reset(self.at, self.stations[*station]),
+            Command::RequestRecovery { station } => {
+                self.bus.request_recovery(self.at, self.stations[*station]);
+            }
         }
     }
 
@@ -134,7 +181,8 @@ proptest! {
     }
 
     #[test]
-    fn an_event_comes_when_foretold_and_none_before(script in any_script(), faults in any_faults()) {
+    fn an_event_comes_when_foretold_and_none_before(
+        script in any_eventful_script(), faults in any_faults()) {
         let mut run = Run::new(faults);
         let mut events = Vec::new();
         for (pause, command) in &script {
@@ -163,7 +211,7 @@ proptest! {
 
     #[test]
     fn the_number_of_steps_does_not_matter(
-        script in any_script(),
+        script in any_eventful_script(),
         faults in any_faults(),
         step in 1_000..50_000_u64,
     ) {
@@ -187,7 +235,8 @@ proptest! {
     }
 
     #[test]
-    fn one_seed_gives_one_trace_in_the_order_of_time(script in any_script(), faults in any_faults()) {
+    fn one_seed_gives_one_trace_in_the_order_of_time(
+        script in any_eventful_script(), faults in any_faults()) {
         let log = || {
             let mut run = Run::new(faults.clone());
             let events = run.play(&script);

@@ -56,8 +56,8 @@ impl Delivery {
 pub struct Counters {
     /// Published events that were sent within their window.
     pub sent: u32,
-    /// Published events that were not sent within their window: the faults on the bus exceeded the
-    /// omission degree.
+    /// Published events that were not sent, or not sent within their window: the faults on the bus exceeded
+    /// the omission degree.
     pub omitted: u32,
     /// Slots of a periodic channel for which nothing fresh had been published.
     pub unused: u32,
@@ -323,25 +323,23 @@ impl<const N: usize> HrtBuffers<N> {
     /// The HRT mailbox has become empty. Returns the buffer if the event layer must hear of it: the event
     /// was not sent.
     pub fn on_outcome(&mut self, outcome: Outcome, at: Instant) -> Option<BufferId> {
-        let loaded = match self.mailbox {
-            HardMailbox::Loaded(buffer) | HardMailbox::Withdrawing(buffer) => buffer,
+        let (loaded, in_time) = match self.mailbox {
+            HardMailbox::Loaded(buffer) => (buffer, true),
+            HardMailbox::Withdrawing(buffer) => (buffer, false),
             HardMailbox::Empty => return None,
         };
         self.mailbox = HardMailbox::Empty;
         let buffer = self.buffer_mut(loaded)?;
-        match outcome {
-            Outcome::Sent => {
-                buffer.counters.sent = buffer.counters.sent.wrapping_add(1);
-                if buffer.role.subscribes {
-                    buffer.arrived(buffer.in_mailbox, at);
-                }
-                None
-            }
-            Outcome::Withdrawn => {
-                buffer.counters.omitted = buffer.counters.omitted.wrapping_add(1);
-                Some(BufferId(loaded))
-            }
+        if outcome == Outcome::Sent && buffer.role.subscribes {
+            buffer.arrived(buffer.in_mailbox, at);
         }
+        if outcome == Outcome::Sent && in_time {
+            buffer.counters.sent = buffer.counters.sent.wrapping_add(1);
+            return None;
+        }
+        // A frame that was on the wire at its deadline and is sent after all may come too late for some.
+        buffer.counters.omitted = buffer.counters.omitted.wrapping_add(1);
+        Some(BufferId(loaded))
     }
 
     /// The buffer of a channel and publisher, if this node takes part in one of its slots.
