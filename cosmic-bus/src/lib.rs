@@ -28,6 +28,12 @@
 //! assert_eq!(events[1].at.duration_since_epoch().as_micros(), 50);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! Not in the model: bits below the bit (propagation, resynchronisation: all stations see each bit at the
+//! same instant), CAN FD, overload requests by slow receivers. A disturbance is seen by all stations
+//! ([`Fault::Inverted`]), or by some in the last but one bit ([`Fault::InconsistentOmission`]), the one
+//! place where that makes a difference to who gets the frame. All stations see the end of an error frame at
+//! the same bit, and learn of the error there.
 #![forbid(unsafe_code)]
 
 mod accounting;
