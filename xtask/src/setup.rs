@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::{env, fs};
 
-use anyhow::{Result, bail};
+use anyhow::{Context as _, Result, bail};
 
 use crate::run::{self, step};
 use crate::target::{self, Choice, TRIPLE, TargetWay};
@@ -40,16 +40,29 @@ pub(crate) const EVERYTHING: [Tool; 5] =
 /// # Errors
 /// What is missing and cannot be installed here, and what to type.
 pub(crate) fn prepare(tools: &[Tool]) -> Result<TargetWay> {
-    let missing: Vec<Tool> = tools.iter().copied().filter(|tool| !tool.is_there()).collect();
-    if !missing.is_empty() {
-        let packages: Vec<&str> = missing.iter().map(|tool| tool.package()).collect();
-        let names: Vec<String> = missing.iter().map(Tool::to_string).collect();
-        step(&format!("installing {}", names.join(", ")), || install(&packages))?;
-        if let Some(tool) = missing.iter().find(|tool| !tool.is_there()) {
-            bail!("{tool} is not found although Debian's package `{}` is installed", tool.package());
-        }
+    let tools = install_tools(tools);
+    let way = target(Choice::from_environment()?);
+    match (tools, way) {
+        // Whoever has to type something wants to know all of it at once.
+        (Err(one), Err(other)) => bail!("{one:#}; moreover, {other:#}"),
+        (tools, way) => tools.and(way),
     }
-    target(Choice::from_environment()?)
+}
+
+fn install_tools(tools: &[Tool]) -> Result<()> {
+    let missing: Vec<Tool> = tools.iter().copied().filter(|tool| !tool.is_there()).collect();
+    if missing.is_empty() {
+        return Ok(());
+    }
+    let packages: Vec<&str> = missing.iter().map(|tool| tool.package()).collect();
+    let names: Vec<String> = missing.iter().map(Tool::to_string).collect();
+    step(&format!("installing {}", names.join(", ")), || install(&packages))?;
+    match missing.iter().find(|tool| !tool.is_there()) {
+        Some(tool) => {
+            bail!("{tool} is not found although Debian's package `{}` is installed", tool.package())
+        }
+        None => Ok(()),
+    }
 }
 
 /// Finds or installs the target.
@@ -70,14 +83,19 @@ fn target(choice: Choice) -> Result<TargetWay> {
         }
     }
     if choice.allows_debian() {
-        step("installing Debian's compiler", || install(&DEBIAN_PACKAGES))?;
+        let missing = target::missing_for_debian();
+        step("installing Debian's compiler", || install(&missing)).with_context(|| {
+            format!("the compiler lacks {TRIPLE}, which `rustup target add {TRIPLE}` gets where it can")
+        })?;
     }
     match TargetWay::find(choice) {
         Some(way) => Ok(way),
         None => bail!(
-            "there is no way to compile for {TRIPLE}: type `rustup target add {TRIPLE}`, or install \
-             Debian's `{}` of at least the version in Cargo.toml",
-            DEBIAN_PACKAGES.join(" ")
+            "the compiler lacks {TRIPLE}: type `rustup target add {TRIPLE}`, or let {} be unset and \
+             install Debian's `{}` (at least {})",
+            target::VARIABLE,
+            target::DEBIAN_PACKAGES.map(|(name, _)| name).join(" "),
+            target::OLDEST_COMPILER,
         ),
     }
 }
@@ -226,9 +244,6 @@ fn is_listed(package: &str) -> bool {
     let shown = Command::new("apt-cache").args(["show", package]).stderr(Stdio::null()).output();
     shown.is_ok_and(|output| output.status.success() && !output.stdout.is_empty())
 }
-
-/// A compiler, its library's source, and a linker.
-const DEBIAN_PACKAGES: [&str; 3] = ["rustc-web", "rust-web-src", "lld"];
 
 #[cfg(test)]
 mod tests {

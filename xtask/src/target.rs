@@ -20,7 +20,7 @@ pub(crate) const TRIPLE: &str = "thumbv7em-none-eabihf";
 pub(crate) const VARIABLE: &str = "COSMIC_TARGET_WAY";
 
 /// The oldest compiler that builds this workspace, as its manifest says.
-const OLDEST_COMPILER: &str = env!("CARGO_PKG_RUST_VERSION");
+pub(crate) const OLDEST_COMPILER: &str = env!("CARGO_PKG_RUST_VERSION");
 
 /// Where the target's core library comes from.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -89,15 +89,9 @@ impl TargetWay {
 
     /// Is a compiler there that is new enough, with its source, and a linker?
     fn debian() -> Option<Self> {
+        let all_there = missing_for_debian().is_empty();
         let compiler = PathBuf::from(DEBIAN_COMPILER);
-        let sysroot = sysroot(&compiler)?;
-        if !sysroot.join("lib/rustlib/src/rust/library/core/Cargo.toml").is_file() {
-            return None;
-        }
-        if !is_at_least(&version(&compiler)?, OLDEST_COMPILER) {
-            return None;
-        }
-        Some(Self::Debian { compiler, linker: linker()? })
+        all_there.then_some(Self::Debian { compiler, linker: linker()? })
     }
 
     /// A call of cargo that builds for the target; its subcommand is the first argument.
@@ -134,6 +128,27 @@ impl fmt::Display for TargetWay {
     }
 }
 
+/// Answers whether something is there.
+type IsThere = fn() -> bool;
+
+/// Debian's packages for its way, each with the question whether it is needed no more.
+pub(crate) const DEBIAN_PACKAGES: [(&str, IsThere); 3] = [
+    ("rustc-web", || {
+        version(Path::new(DEBIAN_COMPILER)).is_some_and(|version| is_at_least(&version, OLDEST_COMPILER))
+    }),
+    ("rust-web-src", || {
+        let library = "lib/rustlib/src/rust/library/core/Cargo.toml";
+        sysroot(Path::new(DEBIAN_COMPILER)).is_some_and(|sysroot| sysroot.join(library).is_file())
+    }),
+    ("lld", || linker().is_some()),
+];
+
+/// Those of Debian's packages that are still needed.
+pub(crate) fn missing_for_debian() -> Vec<&'static str> {
+    let missing = DEBIAN_PACKAGES.iter().filter(|(_, is_there)| !is_there());
+    missing.map(|(package, _)| *package).collect()
+}
+
 /// The compiler that cargo uses, unless told otherwise.
 fn active_compiler() -> String {
     env::var("RUSTC").unwrap_or_else(|_| "rustc".to_owned())
@@ -144,7 +159,7 @@ fn sysroot(compiler: &Path) -> Option<PathBuf> {
 }
 
 /// The version of a compiler, such as `1.96.0`.
-pub(crate) fn version(compiler: &Path) -> Option<String> {
+fn version(compiler: &Path) -> Option<String> {
     let line = stdout(Command::new(compiler).arg("--version"))?;
     line.split_whitespace().nth(1).map(str::to_owned)
 }
@@ -181,7 +196,7 @@ fn is_at_least(found: &str, oldest: &str) -> bool {
 }
 
 /// Where Debian puts its compiler.
-pub(crate) const DEBIAN_COMPILER: &str = "/usr/bin/rustc";
+const DEBIAN_COMPILER: &str = "/usr/bin/rustc";
 
 #[cfg(test)]
 mod tests {
