@@ -211,6 +211,7 @@ impl<const N: usize> Binding<N> {
 
     /// When `poll` must be called even if no frame arrives.
     pub fn next_wakeup(&self) -> Option<Instant> {
+        self.tx_node?; // without it nothing can be asked
         if self.asked.is_some() {
             return self.asked.map(|asked| asked.until);
         }
