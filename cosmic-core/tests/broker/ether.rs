@@ -23,6 +23,10 @@ pub(crate) trait Station {
     /// Moves what is to be sent into the outbox; called often.
     fn poll(&mut self, now: Instant, outbox: &mut VecDeque<Frame>);
     fn next_wakeup(&self) -> Option<Instant>;
+    /// The id and the etag of an old client.
+    fn old_names(&self) -> Option<(Option<u8>, Option<u16>)> {
+        None
+    }
     fn as_node(&self) -> Option<&Node> {
         None
     }
@@ -36,6 +40,7 @@ pub(crate) struct Node {
     pub(crate) configuration: Configuration,
     pub(crate) binding: Binding<8>,
     pub(crate) broker: Option<TestBroker>,
+    wanted: Vec<u64>,
     pub(crate) configuration_events: Vec<ConfigurationEvent>,
     pub(crate) binding_events: Vec<BindingEvent>,
     pub(crate) broker_events: Vec<BrokerEvent>,
@@ -59,6 +64,7 @@ impl Node {
             binding: Binding::new(configuration.uid().get() ^ noise, BindingTiming::DEFAULT),
             configuration,
             broker: None,
+            wanted: Vec::new(),
             configuration_events: Vec::new(),
             binding_events: Vec::new(),
             broker_events: Vec::new(),
@@ -82,8 +88,14 @@ impl Node {
     }
 
     pub(crate) fn with_subjects(mut self, subjects: impl IntoIterator<Item = u64>) -> Self {
-        subjects.into_iter().for_each(|of| self.binding.bind(subject(of)).unwrap());
+        self.wanted.extend(subjects);
+        self.wanted.iter().for_each(|of| self.binding.bind(subject(*of)).unwrap());
         self
+    }
+
+    /// The subjects that the node asks for.
+    pub(crate) fn subjects(&self) -> impl Iterator<Item = u64> {
+        self.wanted.iter().copied()
     }
 
     pub(crate) fn tx_node(&self) -> Option<TxNode> {
@@ -250,6 +262,11 @@ impl Ether {
     /// The nodes of ours that are alive.
     pub(crate) fn nodes(&self) -> impl Iterator<Item = &Node> {
         self.stations.iter().filter(|at| at.alive).filter_map(|at| at.station.as_node())
+    }
+
+    /// The names of the old clients that are alive.
+    pub(crate) fn old_names(&self) -> impl Iterator<Item = (Option<u8>, Option<u16>)> {
+        self.stations.iter().filter(|at| at.alive).filter_map(|at| at.station.old_names())
     }
 
     pub(crate) fn run(&mut self, span: Duration) {

@@ -1,6 +1,8 @@
 //! Configuration and binding on a whole cluster: clients and brokers under the faults that we can name.
 
 mod ether;
+mod famouso;
+mod robustness;
 
 use std::collections::BTreeSet;
 
