@@ -26,7 +26,7 @@ use crate::event_layer::{
 };
 use crate::network::hard::{Attach, AttachError, BufferId, Counters, HrtBuffers, Role};
 use crate::network::soft::{self, Etch, EtchCounters, Outgoing, PriorityMap, Tag};
-use crate::services::{Request, Services};
+use crate::services::{Declaration, NodeView, Request, Services, TooMany};
 use crate::time::Instant;
 use crate::uid::Subject;
 use core::task::{Poll, Waker};
@@ -113,6 +113,7 @@ pub struct EventHalf<
     /// Received frames that concern nobody here.
     foreign: u32,
     services: S,
+    view: NodeView,
 }
 
 impl<
@@ -139,6 +140,7 @@ impl<
             exception_waker: None,
             foreign: 0,
             services,
+            view: NodeView { exceptions: 0, transmit_errors: 0, receive_errors: 0 },
         }
     }
 
@@ -166,13 +168,18 @@ impl<
         match self.attach(&channel.declared(), PUBLISHES, hard) {
             Ok(buffer) => {
                 self.layer.set_buffer(&publication, buffer);
-                Ok(publication)
             }
             Err(error) => {
                 self.layer.cancel_publication(&publication);
-                Err(error)
+                return Err(error);
             }
         }
+        if let Err(error) = self.declare(&channel.declared()) {
+            // Nothing has been published, so there is nothing to withdraw.
+            let _ = self.cancel_publication(publication, hard);
+            return Err(error);
+        }
+        Ok(publication)
     }
 
     /// Subscribes to a channel. O(CHANNELS + SUBSCRIPTIONS + slots of the calendar · SLOTS).
@@ -187,8 +194,9 @@ impl<
         hard: &mut impl HardAccess<SLOTS>,
     ) -> Result<Subscription<C>, SubscribeError> {
         let subscription = self.layer.subscribe(channel, filter, policy)?;
-        match self.attach(&channel.declared(), SUBSCRIBES, hard) {
-            Ok(_) => Ok(subscription),
+        let joined = self.attach(&channel.declared(), SUBSCRIBES, hard);
+        match joined.and_then(|_| self.declare(&channel.declared())) {
+            Ok(()) => Ok(subscription),
             Err(error) => {
                 self.cancel_subscription(subscription, hard);
                 Err(SubscribeError::Channel(error))
@@ -203,8 +211,13 @@ impl<
         publication: Publication<C>,
         hard: &mut impl HardAccess<SLOTS>,
     ) -> [Option<Command>; 2] {
+        let declared = self.layer.declared(publication.tag());
         let Some(buffer) = self.layer.cancel_publication(&publication) else { return [None, None] };
         detach(buffer, PUBLISHES, hard);
+        if let Some(declared) = declared {
+            // Giving up takes no room.
+            let _ = self.declare(&declared);
+        }
         self.etch.recall(|outgoing| outgoing.tag == publication.tag())
     }
 
@@ -214,7 +227,9 @@ impl<
         subscription: Subscription<C>,
         hard: &mut impl HardAccess<SLOTS>,
     ) {
-        let Some(etag) = self.layer.cancel_subscription(subscription) else { return };
+        let Some(declared) = self.layer.cancel_subscription(subscription) else { return };
+        let _ = self.declare(&declared);
+        let Some(etag) = declared.etag.filter(|etag| etag.is_hard()) else { return };
         for slot in self.calendar.slots().iter().filter(|slot| slot.etag == etag) {
             let buffer = hard.with(|buffers| buffers.find(etag, slot.publisher));
             detach(buffer, SUBSCRIBES, hard);
@@ -287,8 +302,11 @@ impl<
     #[inline]
     pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         if frame.id.etag().is_reserved() {
+            return self.services.on_frame(frame, received_at);
+        }
+        if Some(frame.id.tx_node()) == self.tx_node {
+            // No node hears itself: another one uses this TxNode.
             self.services.on_frame(frame, received_at);
-            return;
         }
         let accepted = self.layer.accept(frame, received_at);
         self.note(accepted, received_at);
@@ -336,7 +354,8 @@ impl<
 
     /// What is to be done now; at most one command a call. O(SOFT + NRT), and what the services need.
     pub fn poll(&mut self, now: Instant, hard: &mut impl HardAccess<SLOTS>) -> Step {
-        while let Some(request) = self.services.poll(now) {
+        let view = NodeView { exceptions: self.exceptions.total(), ..self.view };
+        while let Some(request) = self.services.poll(now, &view) {
             if let Some(command) = self.carry_out(request, now, hard) {
                 return Step::Command(command);
             }
@@ -441,6 +460,11 @@ impl<
         self.foreign
     }
 
+    /// The controller's error counters (TEC and REC), for the status that the node tells.
+    pub fn set_error_counters(&mut self, transmit_errors: u8, receive_errors: u8) {
+        self.view = NodeView { transmit_errors, receive_errors, ..self.view };
+    }
+
     /// The controller has left the bus.
     pub fn on_bus_off(&mut self, now: Instant) {
         self.raise(None, ExceptionKind::BusOff, now);
@@ -469,6 +493,20 @@ impl<
             buffer = Some(attached.map_err(|AttachError::Full| AnnounceError::TooManySlots)?);
         }
         buffer.map(Some).ok_or(AnnounceError::NotInCalendar)
+    }
+
+    /// Tells the services what the node does on a channel now.
+    fn declare(&mut self, declared: &Declared) -> Result<(), AnnounceError> {
+        let (publishes, subscribes) = self.layer.roles(declared.subject);
+        let declaration = Declaration {
+            subject: declared.subject,
+            etag: declared.etag,
+            class: declared.attributes.class(),
+            layout: declared.layout,
+            publishes,
+            subscribes,
+        };
+        self.services.declare(&declaration).map_err(|TooMany| AnnounceError::TooManyChannels)
     }
 
     fn decode<C: Content>(

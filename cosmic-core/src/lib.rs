@@ -21,6 +21,7 @@ pub mod event_layer;
 pub mod membership;
 pub mod network;
 pub mod protocol;
+mod ring;
 pub mod services;
 pub mod time;
 pub mod uid;

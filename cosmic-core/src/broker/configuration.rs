@@ -20,12 +20,12 @@
 
 use super::Output;
 use super::jitter::Jitter;
-use super::ring::Ring;
 use crate::can::{Etag, Frame, TxNode};
 use crate::protocol::{
     ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, NodeIdentity, Prefix, Probe, Release,
     Stage, names_its_sender,
 };
+use crate::ring::Ring;
 use crate::time::{Duration, Instant};
 use crate::uid::NodeUid;
 

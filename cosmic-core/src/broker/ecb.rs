@@ -23,7 +23,6 @@
 
 use super::Output;
 use super::halves::{Halves, Supply};
-use super::ring::Ring;
 use super::session::{Session, Step};
 use super::tables::{Nodes, Subjects};
 use crate::can::{Etag, Frame, TxNode};
@@ -31,6 +30,7 @@ use crate::protocol::{
     Answer, BrokerStatus, ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, Message, Probe,
     SupplyEtag, names_its_sender,
 };
+use crate::ring::Ring;
 use crate::time::{Duration, Instant};
 use crate::uid::{NodeUid, Subject};
 

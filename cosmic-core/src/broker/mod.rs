@@ -28,7 +28,6 @@ mod configuration;
 mod ecb;
 mod halves;
 mod jitter;
-mod ring;
 mod session;
 mod tables;
 

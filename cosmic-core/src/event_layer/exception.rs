@@ -1,5 +1,6 @@
 //! What the application is told when something did not happen as it was promised.
 
+use crate::ring::Ring;
 use crate::time::Instant;
 use crate::uid::Subject;
 
@@ -41,8 +42,10 @@ pub enum ExceptionKind {
     Malformed,
     /// Publisher: a queue towards the bus was full; an event was dropped.
     TransmitQueueFull,
-    /// The broker refused a binding, or did not answer.
+    /// The broker has no etag left for this subject, or gave one that is in use here.
     BindingRefused,
+    /// The broker has no TxNode left for this node.
+    ConfigurationRefused,
     /// Another node uses this subject with another layout of content.
     LayoutMismatch,
     /// Another node uses this node's TxNode.
@@ -53,22 +56,21 @@ pub enum ExceptionKind {
 
 impl ExceptionKind {
     /// How many kinds there are.
-    pub const COUNT: usize = 15;
+    pub const COUNT: usize = 16;
 }
 
 /// Exceptions on their way to the application: the first `N` are kept, all are counted.
 #[derive(Clone, Debug)]
 pub(crate) struct Exceptions<const N: usize> {
-    ring: [Option<Exception>; N],
-    first: usize,
-    len: usize,
+    waiting: Ring<Exception, N>,
     counts: [u32; ExceptionKind::COUNT],
+    total: u32,
     dropped: u32,
 }
 
 impl<const N: usize> Exceptions<N> {
     pub(crate) const fn new() -> Self {
-        Self { ring: [None; N], first: 0, len: 0, counts: [0; ExceptionKind::COUNT], dropped: 0 }
+        Self { waiting: Ring::new(), counts: [0; ExceptionKind::COUNT], total: 0, dropped: 0 }
     }
 
     /// Counts an exception that occurred so many times, and keeps it once. O(1). When nobody fetches them,
@@ -80,37 +82,28 @@ impl<const N: usize> Exceptions<N> {
         if let Some(count) = self.counts.get_mut(exception.kind as usize) {
             *count = count.wrapping_add(times);
         }
-        if self.len >= N {
-            self.dropped = self.dropped.wrapping_add(times);
-            return;
-        }
-        self.dropped = self.dropped.wrapping_add(times - 1);
-        let at = (self.first + self.len) % N.max(1);
-        if let Some(place) = self.ring.get_mut(at) {
-            *place = Some(exception);
-            self.len += 1;
-        }
+        self.total = self.total.wrapping_add(times);
+        let kept = u32::from(self.waiting.push(exception));
+        self.dropped = self.dropped.wrapping_add(times - kept);
     }
 
     pub(crate) fn take(&mut self) -> Option<Exception> {
-        if self.len == 0 {
-            return None;
-        }
-        let exception = self.ring.get_mut(self.first)?.take();
-        self.first = (self.first + 1) % N.max(1);
-        self.len -= 1;
-        exception
+        self.waiting.pop()
     }
 
     pub(crate) const fn is_empty(&self) -> bool {
-        self.len == 0
+        self.waiting.is_empty()
     }
 
     pub(crate) fn count(&self, kind: ExceptionKind) -> u32 {
         self.counts.get(kind as usize).copied().unwrap_or(0)
     }
 
-    pub(crate) fn dropped(&self) -> u32 {
+    pub(crate) const fn total(&self) -> u32 {
+        self.total
+    }
+
+    pub(crate) const fn dropped(&self) -> u32 {
         self.dropped
     }
 }

@@ -217,9 +217,9 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         Some(buffer)
     }
 
-    /// Gives up a subscription, with the events that wait for it. Says which etag has lost its last
+    /// Gives up a subscription, with the events that wait for it. Says which channel has lost its last
     /// subscriber here. O(SUBSCRIPTIONS + EVENTS).
-    pub(crate) fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) -> Option<Etag> {
+    pub(crate) fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) -> Option<Declared> {
         let index = subscription.index;
         let mut gone = self.subscribers.get_mut(usize::from(index))?.take()?;
         gone.list.clear(&mut self.pool);
@@ -235,7 +235,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             }
         }
         entry.subscriptions = entry.subscriptions.saturating_sub(1);
-        let last = (entry.subscriptions == 0).then_some(entry.etag).flatten();
+        let last = (entry.subscriptions == 0).then_some(entry.declared);
         self.forget_unused(gone.channel);
         last
     }
@@ -387,9 +387,20 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         self.name(at as u8, etag)
     }
 
+    /// Does this node publish on the channel, and does it subscribe to it? O(CHANNELS).
+    pub(crate) fn roles(&self, subject: Subject) -> (bool, bool) {
+        let entry = self.find(subject).and_then(|at| self.channels.get(at)?.as_ref());
+        entry.map_or((false, false), |entry| (entry.announcements > 0, entry.subscriptions > 0))
+    }
+
+    /// A channel as it was declared, by its number.
+    pub(crate) fn declared(&self, tag: Tag) -> Option<Declared> {
+        Some(self.channels.get(usize::from(tag.0))?.as_ref()?.declared)
+    }
+
     /// The subject of a channel by its number.
     pub(crate) fn subject(&self, tag: Tag) -> Option<Subject> {
-        Some(self.channels.get(usize::from(tag.0))?.as_ref()?.declared.subject)
+        Some(self.declared(tag)?.subject)
     }
 
     /// The channel that has this etag here.

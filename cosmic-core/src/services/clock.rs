@@ -1,6 +1,6 @@
 //! Clock synchronisation as a service of a node.
 
-use super::{Request, Services};
+use super::{Declaration, NodeView, Request, Services, TooMany};
 use crate::calendar::Calendar;
 use crate::can::{Frame, TxNode};
 use crate::time::sync::{ClockEvent, ClockSync, SyncConfig, SyncConfigError, SyncCounters};
@@ -41,6 +41,11 @@ impl ClockService {
         self.sync.clock()
     }
 
+    /// Must the node keep silent, because its calendar is not that of the segment?
+    pub const fn is_inhibited(&self) -> bool {
+        self.inhibited
+    }
+
     /// Is this node the master?
     pub const fn is_master(&self) -> bool {
         self.sync.is_master()
@@ -71,7 +76,11 @@ impl Services for ClockService {
         self.sync.on_sent(frame, sent_at);
     }
 
-    fn poll(&mut self, now: Instant) -> Option<Request> {
+    fn declare(&mut self, _: &Declaration) -> Result<(), TooMany> {
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, _: &NodeView) -> Option<Request> {
         if let Some(frame) = self.sync.poll(now) {
             return Some(Request::SendUrgent(frame));
         }

@@ -6,11 +6,14 @@
 //! [`Request`]s.
 
 mod clock;
+mod node;
 
 pub use clock::ClockService;
+pub use node::{Hosted, News, NodeConfig, NodeServices};
 
 use crate::can::{Etag, Frame, TxNode};
 use crate::event_layer::ExceptionKind;
+use crate::protocol::{Class, LayoutHash};
 use crate::time::{GlobalClock, Instant};
 use crate::uid::Subject;
 
@@ -37,18 +40,59 @@ pub enum Request {
     Exception(Option<Subject>, ExceptionKind),
 }
 
+/// What a node does on a channel from now on.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Declaration {
+    /// The channel.
+    pub subject: Subject,
+    /// Its etag, if that is fixed.
+    pub etag: Option<Etag>,
+    /// Its class.
+    pub class: Class,
+    /// How its content is laid out.
+    pub layout: LayoutHash,
+    /// The node has announced it.
+    pub publishes: bool,
+    /// The node subscribes to it.
+    pub subscribes: bool,
+}
+
+/// There is no room for another channel.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct TooMany;
+
+/// What the services are told of their node.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct NodeView {
+    /// Exceptions so far; wraps.
+    pub exceptions: u32,
+    /// The controller's transmit error counter (TEC).
+    pub transmit_errors: u8,
+    /// The controller's receive error counter (REC).
+    pub receive_errors: u8,
+}
+
 /// The services that a node takes part in.
 ///
-/// [`on_frame`](Self::on_frame) gets every received control frame, [`on_sent`](Self::on_sent) every frame
-/// that was sent for a service. After either, and at [`next_wakeup`](Self::next_wakeup),
-/// [`poll`](Self::poll) is called until it returns `None`.
+/// [`on_frame`](Self::on_frame) gets every received control frame, and every frame that carries this
+/// node's own TxNode; [`on_sent`](Self::on_sent) every frame that was sent for a service;
+/// [`declare`](Self::declare) what the node does on a channel, each time that it changes. After any of
+/// them, and at [`next_wakeup`](Self::next_wakeup), [`poll`](Self::poll) is called until it returns `None`.
 pub trait Services {
     /// A control frame has arrived.
     fn on_frame(&mut self, frame: &Frame, received_at: Instant);
     /// A frame of a service has been sent.
     fn on_sent(&mut self, frame: &Frame, sent_at: Instant);
+    /// The node has begun or ended to publish or subscribe.
+    ///
+    /// # Errors
+    /// [`TooMany`]: the service has no room for the channel.
+    fn declare(&mut self, declaration: &Declaration) -> Result<(), TooMany>;
     /// What is to be done now.
-    fn poll(&mut self, now: Instant) -> Option<Request>;
+    fn poll(&mut self, now: Instant, view: &NodeView) -> Option<Request>;
     /// When something is to be done, if no frame comes before.
     fn next_wakeup(&self) -> Instant;
 }
@@ -59,7 +103,11 @@ impl Services for () {
 
     fn on_sent(&mut self, _: &Frame, _: Instant) {}
 
-    fn poll(&mut self, _: Instant) -> Option<Request> {
+    fn declare(&mut self, _: &Declaration) -> Result<(), TooMany> {
+        Ok(())
+    }
+
+    fn poll(&mut self, _: Instant, _: &NodeView) -> Option<Request> {
         None
     }
 

@@ -91,7 +91,7 @@ impl SyncConfig {
     /// A master continues a time scale if it knows its rate this well until the end of the handover.
     /// Four periods of observation suffice.
     pub(super) const fn takeover_rate_error(&self) -> i32 {
-        let observed = ((2 * self.stamp_error.as_ticks()) << 32) / (4 * self.period.as_ticks());
+        let observed = ((2 * self.stamp_error.as_ticks()) << 32) / (4 * self.period.as_ticks()).max(1);
         observed as i32 + self.max_rate_change.over(self.periods(8 + 5 + Self::HOLDOVER_PERIODS + 1))
     }
 

@@ -77,6 +77,7 @@ impl ClockSync {
         };
         self.pending = None;
         self.on_pair(Pair { from, message: sync, received_at, sent_at: message.sent_at });
+        self.schedule_takeover();
     }
 
     fn on_pair(&mut self, pair: Pair) {

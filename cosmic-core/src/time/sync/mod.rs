@@ -90,6 +90,8 @@ pub struct ClockSync {
     tx_node: Option<TxNode>,
     role: Role,
     clock: GlobalClock,
+    /// When this node becomes master, unless a pair comes before; it takes a while to compute.
+    takeover_at: Instant,
     pending: Option<Pending>,
     calendar_mismatch: bool,
     events: Events,
@@ -123,6 +125,7 @@ impl ClockSync {
             tx_node: None,
             role: Role::Listening { since: now },
             clock: GlobalClock::unsynchronised(),
+            takeover_at: Instant::FAR_FUTURE,
             pending: None,
             calendar_mismatch: false,
             events: Events::EMPTY,
@@ -145,6 +148,7 @@ impl ClockSync {
     /// when it has one again.
     pub fn set_tx_node(&mut self, tx_node: Option<TxNode>) {
         self.tx_node = tx_node;
+        self.schedule_takeover();
     }
 
     /// The clock as of the last call. Valid until the next call to any other method that changes it.
@@ -213,7 +217,7 @@ impl ClockSync {
     pub fn poll(&mut self, now: Instant) -> Option<Frame> {
         self.report_loss(now);
         self.give_up_unheard(now);
-        if self.takeover_at().is_some_and(|at| now >= at) {
+        if now >= self.takeover_at {
             self.become_master(now);
         }
         let tx_node = self.tx_node?;
@@ -245,11 +249,11 @@ impl ClockSync {
     /// When [`ClockSync::poll`] has something to do, if no frame comes before.
     pub fn next_wakeup(&self) -> Instant {
         match &self.role {
-            Role::Listening { .. } => self.takeover_at().unwrap_or(Instant::FAR_FUTURE),
+            Role::Listening { .. } => self.takeover_at,
             Role::Following(following) => {
                 let loss = following.heard_at + self.config.loss_time_out();
                 let loss = if following.lost { Instant::FAR_FUTURE } else { loss };
-                self.takeover_at().unwrap_or(Instant::FAR_FUTURE).min(loss)
+                self.takeover_at.min(loss)
             }
             Role::Master(_) if self.tx_node.is_none() => Instant::FAR_FUTURE,
             Role::Master(mastership) => mastership.next_wakeup(),
@@ -275,12 +279,17 @@ impl ClockSync {
         if mastership.is_unheard(now, self.config.loss_time_out()) {
             self.role = Role::Listening { since: now };
             self.clock = self.clock.with_uncertainty(Uncertainty::COMPLETE);
+            self.schedule_takeover();
             self.tell(ClockEvent::Isolated);
         }
     }
 
+    fn schedule_takeover(&mut self) {
+        self.takeover_at = self.candidacy().unwrap_or(Instant::FAR_FUTURE);
+    }
+
     /// When this node becomes master; `None` if it does not.
-    fn takeover_at(&self) -> Option<Instant> {
+    fn candidacy(&self) -> Option<Instant> {
         let (rank, _) = self.own_place()?;
         let delay = self.config.rank_delay(rank);
         match &self.role {
@@ -323,6 +332,7 @@ impl ClockSync {
         });
         self.clock = clock;
         self.role = Role::Master(Mastership::new(now, predecessor, now + self.config.handover()));
+        self.takeover_at = Instant::FAR_FUTURE;
         self.pending = None;
         if core::mem::take(&mut self.calendar_mismatch) {
             self.tell(ClockEvent::CalendarMatch { master: tx_node });

@@ -2,26 +2,26 @@
 
 /// Up to `N` values in the order of their arrival.
 #[derive(Clone, Debug)]
-pub(super) struct Ring<T: Copy, const N: usize> {
+pub(crate) struct Ring<T: Copy, const N: usize> {
     slots: [Option<T>; N],
     first: usize,
     len: usize,
 }
 
 impl<T: Copy, const N: usize> Ring<T, N> {
-    pub(super) const fn new() -> Self {
+    pub(crate) const fn new() -> Self {
         const { assert!(N > 0, "a queue needs room for at least one value") };
         Self { slots: [None; N], first: 0, len: 0 }
     }
 
     /// How many more values fit.
-    pub(super) const fn room(&self) -> usize {
+    pub(crate) const fn room(&self) -> usize {
         N - self.len
     }
 
     /// Appends `value`; `false` if there is no room.
     #[must_use]
-    pub(super) fn push(&mut self, value: T) -> bool {
+    pub(crate) fn push(&mut self, value: T) -> bool {
         if self.len == N {
             return false;
         }
@@ -33,14 +33,19 @@ impl<T: Copy, const N: usize> Ring<T, N> {
     }
 
     /// Removes the oldest value.
-    pub(super) fn pop(&mut self) -> Option<T> {
+    pub(crate) fn pop(&mut self) -> Option<T> {
         let value = self.slots.get_mut(self.first)?.take()?;
         self.first = (self.first + 1) % N;
         self.len -= 1;
         Some(value)
     }
 
-    pub(super) fn clear(&mut self) {
+    /// Is there none?
+    pub(crate) const fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    pub(crate) fn clear(&mut self) {
         *self = Self::new();
     }
 }

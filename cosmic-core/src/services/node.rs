@@ -1,0 +1,494 @@
+//! All services together, as a node of a cluster that configures itself needs them.
+
+use super::{Declaration, NodeView, Request, Services, TooMany};
+use crate::broker::{
+    Binding, BindingEvent, BindingTiming, Broker, BrokerEvent, Configuration, ConfigurationEvent,
+    ConfigurationTiming, Output,
+};
+use crate::calendar::Calendar;
+use crate::can::{Etag, Frame, TxNode};
+use crate::event_layer::ExceptionKind;
+use crate::membership::{Declarations, Health, InterestEvent, Interests, MemberEvent, Members, StatusReport};
+use crate::protocol::{Class, LayoutHash, Lease, NodeState, Side};
+use crate::ring::Ring;
+use crate::services::ClockService;
+use crate::time::sync::{ClockEvent, SyncConfig, SyncConfigError};
+use crate::time::{Duration, Instant};
+use crate::uid::{NodeUid, Subject};
+
+/// What a node must know to take part in all services.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct NodeConfig {
+    /// Its long name.
+    pub uid: NodeUid,
+    /// Its TxNode, if that is fixed. The first broker of a cluster needs one.
+    pub tx_node: Option<TxNode>,
+    /// Anything that differs between nodes and starts; see [`Configuration::new`].
+    pub noise: u64,
+    /// Of the clock synchronisation.
+    pub clock: SyncConfig,
+    /// Of the configuration client.
+    pub configuration: ConfigurationTiming,
+    /// Of the binding client.
+    pub binding: BindingTiming,
+    /// How long the interest of this node holds if it is not refreshed.
+    pub lease: Lease,
+    /// The span between two status frames; a node is taken for dead after three and a half.
+    pub status_period: Duration,
+}
+
+impl NodeConfig {
+    /// Usual values for a node with this name.
+    pub const fn new(uid: NodeUid) -> Self {
+        Self {
+            uid,
+            tx_node: None,
+            noise: 0,
+            clock: SyncConfig::DEFAULT,
+            configuration: ConfigurationTiming::DEFAULT,
+            binding: BindingTiming::DEFAULT,
+            lease: DEFAULT_LEASE,
+            status_period: Duration::from_millis(500),
+        }
+    }
+}
+
+const DEFAULT_LEASE: Lease = Lease::new(Duration::from_secs(10)).expect("ten seconds are a lease");
+
+/// Something that the application may want to know of the cluster.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum News {
+    /// This node has its TxNode, or has lost it.
+    Configuration(ConfigurationEvent),
+    /// Another node has come or gone.
+    Member(MemberEvent),
+    /// Interest in a channel has begun or ended.
+    Interest(InterestEvent),
+    /// The clock has another master, or something happened to it.
+    Clock(ClockEvent),
+    /// The broker that this node hosts did something.
+    Broker(BrokerEvent),
+}
+
+/// A broker that a node hosts, or `()`.
+pub trait Hosted {
+    /// As [`Broker::set_tx_node`].
+    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>);
+    /// As [`Broker::on_frame`].
+    fn on_frame(&mut self, now: Instant, frame: &Frame);
+    /// As [`Broker::poll`].
+    fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>>;
+    /// As [`Broker::next_wakeup`].
+    fn next_wakeup(&self) -> Option<Instant>;
+}
+
+impl Hosted for () {
+    fn set_tx_node(&mut self, _: Instant, _: Option<TxNode>) {}
+
+    fn on_frame(&mut self, _: Instant, _: &Frame) {}
+
+    fn poll(&mut self, _: Instant) -> Option<Output<BrokerEvent>> {
+        None
+    }
+
+    fn next_wakeup(&self) -> Option<Instant> {
+        None
+    }
+}
+
+impl<const NODES: usize, const SUBJECTS: usize> Hosted for Broker<NODES, SUBJECTS> {
+    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
+        Broker::set_tx_node(self, now, tx_node);
+    }
+
+    fn on_frame(&mut self, now: Instant, frame: &Frame) {
+        Broker::on_frame(self, now, frame);
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>> {
+        Broker::poll(self, now)
+    }
+
+    fn next_wakeup(&self) -> Option<Instant> {
+        Broker::next_wakeup(self)
+    }
+}
+
+/// `None` hosts no broker, so one program can decide at start.
+impl<B: Hosted> Hosted for Option<B> {
+    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
+        if let Some(broker) = self {
+            broker.set_tx_node(now, tx_node);
+        }
+    }
+
+    fn on_frame(&mut self, now: Instant, frame: &Frame) {
+        if let Some(broker) = self {
+            broker.on_frame(now, frame);
+        }
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>> {
+        self.as_mut()?.poll(now)
+    }
+
+    fn next_wakeup(&self) -> Option<Instant> {
+        self.as_ref()?.next_wakeup()
+    }
+}
+
+/// A channel of this node, as far as the services are concerned.
+#[derive(Clone, Copy, Debug)]
+struct Wanted {
+    subject: Subject,
+    etag: Option<Etag>,
+    class: Class,
+    layout: LayoutHash,
+    publishes: bool,
+    subscribes: bool,
+    /// The declarations are to be brought up to date.
+    changed: bool,
+}
+
+/// All services of a node: clock, configuration, binding, interest, status, and a broker if it hosts one.
+///
+/// `CHANNELS` as in [`EventHalf`](crate::EventHalf); `DECLARATIONS` is twice that, for both sides of each;
+/// `PEERS` are the other nodes that it keeps track of, and `INTERESTS` what they want and offer.
+///
+/// Every call is O(`CHANNELS` + `PEERS` + `INTERESTS`), and what the broker needs.
+#[derive(Clone, Debug)]
+pub struct NodeServices<
+    const CHANNELS: usize,
+    const DECLARATIONS: usize,
+    const PEERS: usize,
+    const INTERESTS: usize,
+    B = (),
+> {
+    clock: ClockService,
+    configuration: Configuration,
+    binding: Binding<CHANNELS>,
+    wanted: [Option<Wanted>; CHANNELS],
+    declarations: Declarations<DECLARATIONS>,
+    interests: Interests<INTERESTS>,
+    members: Members<PEERS>,
+    report: StatusReport,
+    broker: B,
+    requests: Ring<Request, 4>,
+    news: Ring<News, 16>,
+    news_dropped: u16,
+}
+
+impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const INTERESTS: usize, B: Hosted>
+    NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
+{
+    /// Services that start now.
+    ///
+    /// # Errors
+    /// The first setting of the clock that is refused.
+    pub fn new(
+        config: &NodeConfig,
+        calendar: &Calendar,
+        broker: B,
+        now: Instant,
+    ) -> Result<Self, SyncConfigError> {
+        const { assert!(DECLARATIONS >= 2 * CHANNELS, "two declarations for each channel") };
+        let &NodeConfig { uid, noise, status_period, .. } = config;
+        let configuration = match config.tx_node {
+            Some(tx_node) => Configuration::fixed(now, uid, tx_node, noise, config.configuration),
+            None => Configuration::new(now, uid, noise, config.configuration),
+        };
+        let silence = Duration::from_ticks(status_period.as_ticks().saturating_mul(7) / 2);
+        Ok(Self {
+            clock: ClockService::new(config.clock, calendar, None, now)?,
+            configuration,
+            binding: Binding::new(uid.get() ^ noise, config.binding),
+            wanted: [None; CHANNELS],
+            declarations: Declarations::new(config.lease),
+            interests: Interests::new(),
+            members: Members::new(silence),
+            report: StatusReport::new(now, status_period),
+            broker,
+            requests: Ring::new(),
+            news: Ring::new(),
+            news_dropped: 0,
+        })
+    }
+
+    /// The oldest piece of news that has not been fetched. Sixteen are kept.
+    pub fn take_news(&mut self) -> Option<News> {
+        self.news.pop()
+    }
+
+    /// News that were lost because nobody fetched them.
+    pub const fn news_dropped(&self) -> u16 {
+        self.news_dropped
+    }
+
+    /// The clock.
+    pub const fn clock(&self) -> &ClockService {
+        &self.clock
+    }
+
+    /// The node's TxNode, if it has one.
+    pub const fn tx_node(&self) -> Option<TxNode> {
+        self.configuration.tx_node()
+    }
+
+    /// The etag of a subject, if it is known.
+    pub fn etag_of(&self, subject: Subject) -> Option<Etag> {
+        self.binding.etag_of(subject)
+    }
+
+    /// The other nodes that are alive.
+    pub const fn members(&self) -> &Members<PEERS> {
+        &self.members
+    }
+
+    /// What the other nodes want and offer.
+    pub const fn interests(&self) -> &Interests<INTERESTS> {
+        &self.interests
+    }
+
+    /// The broker that this node hosts.
+    pub const fn broker(&self) -> &B {
+        &self.broker
+    }
+
+    /// Gives the TxNode back to the broker, for good: the node falls silent.
+    pub fn release(&mut self) {
+        self.configuration.release();
+    }
+
+    fn tell(&mut self, news: News) {
+        if !self.news.push(news) {
+            self.news_dropped = self.news_dropped.saturating_add(1);
+        }
+    }
+
+    /// What is wanted of the node besides, in the order of the calls; there are never more than four.
+    fn ask(&mut self, request: Request) {
+        let _ = self.requests.push(request);
+    }
+
+    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
+        self.clock.set_tx_node(tx_node);
+        self.binding.set_tx_node(tx_node);
+        self.declarations.set_tx_node(now, tx_node);
+        self.broker.set_tx_node(now, tx_node);
+        self.ask(Request::TxNode(tx_node));
+    }
+
+    fn poll_configuration(&mut self, now: Instant) -> Option<Request> {
+        match self.configuration.poll(now)? {
+            Output::Send(frame) => Some(Request::Send(frame)),
+            Output::Withdraw(frame) => Some(Request::Withdraw(frame)),
+            Output::Event(event) => {
+                match event {
+                    ConfigurationEvent::Configured(tx_node) => self.set_tx_node(now, Some(tx_node)),
+                    ConfigurationEvent::Lost(_) => self.set_tx_node(now, None),
+                    ConfigurationEvent::Conflict { .. } => {
+                        self.ask(Request::Exception(None, ExceptionKind::DuplicateTxNode));
+                    }
+                    ConfigurationEvent::Refused => {
+                        self.ask(Request::Exception(None, ExceptionKind::ConfigurationRefused));
+                    }
+                }
+                self.tell(News::Configuration(event));
+                self.requests.pop()
+            }
+        }
+    }
+
+    fn poll_binding(&mut self, now: Instant) -> Option<Request> {
+        match self.binding.poll(now)? {
+            Output::Send(frame) => {
+                // A node does not hear itself, so a broker that it hosts must be told.
+                self.broker.on_frame(now, &frame);
+                Some(Request::Send(frame))
+            }
+            Output::Withdraw(frame) => Some(Request::Withdraw(frame)),
+            Output::Event(event) => match event {
+                BindingEvent::Bound { subject, etag } => Some(self.on_bound(subject, None, etag, now)),
+                BindingEvent::Rebound { subject, old, new } => {
+                    Some(self.on_bound(subject, Some(old), new, now))
+                }
+                BindingEvent::Refused { subject } => {
+                    Some(Request::Exception(Some(subject), ExceptionKind::BindingRefused))
+                }
+            },
+        }
+    }
+
+    fn on_bound(&mut self, subject: Subject, old: Option<Etag>, etag: Etag, now: Instant) -> Request {
+        if let Some(old) = old {
+            self.declarations.withdraw(now, old, Side::Publisher);
+            self.declarations.withdraw(now, old, Side::Subscriber);
+        }
+        let of_subject = |wanted: &&mut Wanted| wanted.subject == subject;
+        if let Some(wanted) = self.wanted.iter_mut().flatten().find(of_subject) {
+            wanted.etag = Some(etag);
+            wanted.changed = true;
+        }
+        Request::Bound(subject, etag)
+    }
+
+    fn poll_broker(&mut self, now: Instant) -> Option<Request> {
+        loop {
+            match self.broker.poll(now)? {
+                Output::Send(frame) => {
+                    self.binding.on_frame(now, &frame);
+                    return Some(Request::Send(frame));
+                }
+                Output::Withdraw(frame) => return Some(Request::Withdraw(frame)),
+                Output::Event(event) => self.tell(News::Broker(event)),
+            }
+        }
+    }
+
+    /// Brings the declarations up to date with what is wanted.
+    fn declare_changed(&mut self, now: Instant) {
+        for place in &mut self.wanted {
+            let Some(wanted) = place else { continue };
+            let Some(etag) = wanted.etag.filter(|_| wanted.changed) else { continue };
+            wanted.changed = false;
+            let sides = [(Side::Publisher, wanted.publishes), (Side::Subscriber, wanted.subscribes)];
+            for (side, declared) in sides {
+                if declared {
+                    // There is room: two for each channel.
+                    let _ = self.declarations.declare(now, etag, side, wanted.class, wanted.layout);
+                } else {
+                    self.declarations.withdraw(now, etag, side);
+                }
+            }
+            if !wanted.publishes && !wanted.subscribes {
+                self.binding.forget(wanted.subject);
+                *place = None;
+            }
+        }
+    }
+
+    fn health(&self, now: Instant, view: &NodeView) -> Health {
+        let bound = self.wanted.iter().flatten().all(|wanted| wanted.etag.is_some());
+        let state = match () {
+            () if !bound => NodeState::Starting,
+            () if self.clock.is_inhibited() || !self.clock.clock().is_synchronised(now) => {
+                NodeState::HardInhibited
+            }
+            () => NodeState::Operational,
+        };
+        Health {
+            state,
+            transmit_errors: view.transmit_errors,
+            receive_errors: view.receive_errors,
+            exceptions: view.exceptions as u16,
+        }
+    }
+
+    fn poll_membership(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
+        if let Some(frame) = self.declarations.poll(now) {
+            return Some(Request::Send(frame));
+        }
+        while let Some(event) = self.members.poll(now) {
+            self.on_member(event, now);
+        }
+        while let Some(event) = self.interests.poll(now) {
+            self.tell(News::Interest(event));
+        }
+        let health = self.health(now, view);
+        self.report.poll(now, self.tx_node()?, &health).map(Request::Send)
+    }
+
+    fn on_member(&mut self, event: MemberEvent, now: Instant) {
+        if let MemberEvent::Left(tx_node) | MemberEvent::Silent(tx_node) = event {
+            self.interests.on_node_left(now, tx_node);
+        }
+        self.tell(News::Member(event));
+    }
+}
+
+impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const INTERESTS: usize, B: Hosted>
+    Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
+{
+    fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+        self.configuration.on_frame(received_at, frame);
+        match frame.id.etag() {
+            Etag::SYNC | Etag::FOLLOW_UP => return self.clock.on_frame(frame, received_at),
+            Etag::NODE_STATUS => {
+                if let Some(event) = self.members.on_frame(received_at, frame) {
+                    self.on_member(event, received_at);
+                }
+            }
+            Etag::INTEREST => {
+                if let Some(event) = self.interests.on_frame(received_at, frame) {
+                    self.tell(News::Interest(event));
+                }
+            }
+            _ => {}
+        }
+        self.binding.on_frame(received_at, frame);
+        self.broker.on_frame(received_at, frame);
+        if let Some(mismatch) = self.declarations.on_frame(received_at, frame) {
+            let of_etag = |wanted: &&Wanted| wanted.etag == Some(mismatch.etag);
+            let subject = self.wanted.iter().flatten().find(of_etag).map(|wanted| wanted.subject);
+            self.ask(Request::Exception(subject, ExceptionKind::LayoutMismatch));
+        }
+    }
+
+    fn on_sent(&mut self, frame: &Frame, sent_at: Instant) {
+        self.clock.on_sent(frame, sent_at);
+    }
+
+    fn declare(&mut self, declaration: &Declaration) -> Result<(), TooMany> {
+        let &Declaration { subject, etag, class, layout, publishes, subscribes } = declaration;
+        let known = |place: &Option<Wanted>| place.is_some_and(|wanted| wanted.subject == subject);
+        let at = (self.wanted.iter().position(known))
+            .or_else(|| self.wanted.iter().position(Option::is_none))
+            .ok_or(TooMany)?;
+        let etag = etag.or_else(|| self.binding.etag_of(subject));
+        let wanted = publishes || subscribes;
+        match etag {
+            Some(etag) if wanted => self.binding.assume(subject, etag).map_err(|_| TooMany)?,
+            None if wanted => self.binding.bind(subject).map_err(|_| TooMany)?,
+            Some(_) => {}
+            // It was never bound, so nobody was told of it.
+            None => {
+                self.binding.forget(subject);
+                self.wanted[at] = None;
+                return Ok(());
+            }
+        }
+        self.wanted[at] = Some(Wanted { subject, etag, class, layout, publishes, subscribes, changed: true });
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
+        if let Some(request) = self.requests.pop() {
+            return Some(request);
+        }
+        self.declare_changed(now);
+        let request = (self.poll_configuration(now))
+            .or_else(|| self.clock.poll(now, view))
+            .or_else(|| self.poll_binding(now))
+            .or_else(|| self.poll_broker(now))
+            .or_else(|| self.poll_membership(now, view));
+        if let Some(event) = self.clock.take_event() {
+            self.tell(News::Clock(event));
+        }
+        request
+    }
+
+    fn next_wakeup(&self) -> Instant {
+        let report = self.tx_node().map(|_| self.report.next_wakeup());
+        let wakeups = [
+            self.configuration.next_wakeup(),
+            self.binding.next_wakeup(),
+            self.broker.next_wakeup(),
+            self.declarations.next_wakeup(),
+            self.interests.next_wakeup(),
+            self.members.next_wakeup(),
+            report,
+        ];
+        wakeups.into_iter().flatten().fold(self.clock.next_wakeup(), Instant::min)
+    }
+}
