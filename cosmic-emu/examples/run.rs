@@ -1,0 +1,42 @@
+//! Runs firmware files as the nodes of one cluster and prints what is seen of them.
+//!
+//! `cargo run -p cosmic-emu --example run -- MILLISECONDS ELF...`
+
+use std::process::ExitCode;
+use std::time::Instant;
+
+use cosmic_bus::{Bus, FaultModel, VirtualInstant};
+use cosmic_core::can::BitRate;
+use cosmic_emu::{Cluster, NodeConfig, ObservationKind};
+
+fn main() -> ExitCode {
+    let mut arguments = std::env::args().skip(1);
+    let Some(milliseconds) = arguments.next().and_then(|text| text.parse::<u64>().ok()) else {
+        eprintln!("usage: run MILLISECONDS ELF...");
+        return ExitCode::FAILURE;
+    };
+    let mut cluster = Cluster::new(Bus::new(BitRate::MAX, FaultModel::seeded(1)));
+    let mut names = Vec::new();
+    for (n, file) in arguments.enumerate() {
+        let name = format!("node{n}");
+        if let Err(error) = cluster.add_node(NodeConfig::new(&name, file)) {
+            eprintln!("{error}");
+            return ExitCode::FAILURE;
+        }
+        names.push(name);
+    }
+    let started = Instant::now();
+    for end in 1..=milliseconds {
+        cluster.run_until(VirtualInstant::from_ticks(end * 1_000_000));
+        for seen in cluster.take_observations() {
+            if matches!(seen.kind, ObservationKind::Pin { .. } | ObservationKind::Record { .. }) {
+                continue;
+            }
+            let at = seen.at.duration_since_epoch().as_micros();
+            println!("{at:>10} µs {}: {}", names[seen.node.index()], seen.kind);
+        }
+    }
+    let spent = started.elapsed().as_secs_f64();
+    println!("{:.2} virtual seconds a second", milliseconds as f64 / 1000.0 / spent);
+    ExitCode::SUCCESS
+}

@@ -1,0 +1,134 @@
+//! The common clock of a node: HCLK cycles and executed instructions.
+//!
+//! The core calls it before each instruction, so the time of a peripheral access is exact to the
+//! instruction. Interior mutability is what lets the core's hook, the peripherals and the run loop share
+//! it; all of one node runs on one thread.
+
+use core::cell::{Cell, RefCell};
+use std::collections::BTreeSet;
+
+/// Cycles that a taken branch costs on top: the pipeline is refilled (Cortex-M4 TRM, table 3-1: P = 1..=3).
+const REFILL: u64 = 2;
+
+/// An instruction that was watched for was reached.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct ProbeHit {
+    /// Where.
+    pub(crate) pc: u32,
+    /// When.
+    pub(crate) cycle: u64,
+    /// Instructions executed before it.
+    pub(crate) instructions: u64,
+}
+
+/// The clock of one node.
+#[derive(Debug, Default)]
+pub(crate) struct Pace {
+    cycle: Cell<u64>,
+    limit: Cell<u64>,
+    instructions: Cell<u64>,
+    pc: Cell<u32>,
+    /// Where execution goes on if the instruction before is no taken branch; 0 when unknown.
+    next: Cell<u32>,
+    /// An interrupt is pending, so a change of the masks matters.
+    pending: Cell<bool>,
+    probes: RefCell<BTreeSet<u32>>,
+    watching: Cell<bool>,
+    hits: RefCell<Vec<ProbeHit>>,
+}
+
+impl Pace {
+    /// HCLK cycles since power-on; sleep included.
+    #[inline]
+    pub(crate) fn cycle(&self) -> u64 {
+        self.cycle.get()
+    }
+
+    /// Instructions executed since power-on. Those that an IT block skips count, as they take a cycle.
+    pub(crate) fn instructions(&self) -> u64 {
+        self.instructions.get()
+    }
+
+    /// The instruction being executed.
+    pub(crate) fn pc(&self) -> u32 {
+        self.pc.get()
+    }
+
+    /// The core stops before an instruction that would begin at this cycle or later.
+    pub(crate) fn set_limit(&self, cycle: u64) {
+        self.limit.set(cycle);
+    }
+
+    /// The core stops before the next instruction.
+    pub(crate) fn stop_soon(&self) {
+        self.limit.set(0);
+    }
+
+    /// Says whether a change of PRIMASK, BASEPRI or FAULTMASK could let an interrupt in.
+    pub(crate) fn set_pending(&self, pending: bool) {
+        self.pending.set(pending);
+    }
+
+    /// Time passes without instructions: sleep, exception entry.
+    pub(crate) fn skip_to(&self, cycle: u64) {
+        self.cycle.set(self.cycle.get().max(cycle));
+    }
+
+    /// The next instruction is not where the last one led: no branch is to be charged.
+    pub(crate) fn redirect(&self) {
+        self.next.set(0);
+    }
+
+    /// Watch for an instruction.
+    pub(crate) fn add_probe(&self, pc: u32) {
+        self.probes.borrow_mut().insert(pc);
+        self.watching.set(true);
+    }
+
+    /// What is watched for.
+    pub(crate) fn probes(&self) -> BTreeSet<u32> {
+        self.probes.borrow().clone()
+    }
+
+    pub(crate) fn take_hits(&self) -> Vec<ProbeHit> {
+        self.hits.take()
+    }
+
+    /// The core reached an instruction: may it be executed? Charges a taken branch.
+    #[inline]
+    pub(crate) fn reach(&self, pc: u32) -> bool {
+        let next = self.next.get();
+        if next != pc && next != 0 {
+            self.cycle.set(self.cycle.get() + REFILL);
+        }
+        self.next.set(0);
+        self.pc.set(pc);
+        let runs = self.cycle.get() < self.limit.get();
+        if runs && self.watching.get() {
+            self.watch(pc);
+        }
+        runs
+    }
+
+    /// The core executes an instruction of `size` bytes that takes `cycles`, or a run of `count` of them.
+    #[inline]
+    pub(crate) fn execute(&self, pc: u32, size: u32, count: u64, cycles: u64) {
+        self.instructions.set(self.instructions.get() + count);
+        self.cycle.set(self.cycle.get() + cycles);
+        self.next.set(pc.wrapping_add(size));
+    }
+
+    /// The core executes an instruction that changes interrupt masks.
+    pub(crate) fn masks_change(&self) {
+        if self.pending.get() {
+            self.stop_soon();
+        }
+    }
+
+    fn watch(&self, pc: u32) {
+        if self.probes.borrow().contains(&pc) {
+            let (cycle, instructions) = (self.cycle.get(), self.instructions.get());
+            self.hits.borrow_mut().push(ProbeHit { pc, cycle, instructions });
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! What was on the wire: the trace of the bus, boiled down to attempts.
+
+use cosmic_bus::trace::{BusError, TraceEvent, TraceKind};
+use cosmic_bus::{StationId, VirtualInstant, WireFrame};
+use cosmic_core::can::{Frame, Id, Priority};
+
+/// One attempt to send a frame.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Attempt {
+    /// Counts all attempts on the bus, from 0.
+    pub number: u64,
+    /// Who sent.
+    pub station: StationId,
+    /// What.
+    pub wire_frame: WireFrame,
+    /// 1 for the first transmission, more for retransmissions.
+    pub attempt: u32,
+    /// The start of frame.
+    pub start: VirtualInstant,
+    /// The end of the end of frame, or the detection of the error.
+    pub end: VirtualInstant,
+    /// How it ended.
+    pub ending: Ending,
+}
+
+/// How an attempt ended.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Ending {
+    /// It is still on the wire.
+    Open,
+    /// It was sent and acknowledged.
+    Sent,
+    /// It was destroyed.
+    Failed(BusError),
+}
+
+impl Attempt {
+    /// The frame; `None` if it is none of COSMIC.
+    pub fn frame(&self) -> Option<Frame> {
+        Frame::try_from(self.wire_frame).ok()
+    }
+
+    /// Was it destroyed?
+    pub const fn has_failed(&self) -> bool {
+        matches!(self.ending, Ending::Failed(_))
+    }
+}
+
+/// A frame that stood in a mailbox when another won the bus.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Contest {
+    /// Who won: an index into [`BusLog::attempts`].
+    pub winner: usize,
+    /// The frame that did not.
+    pub loser: Frame,
+}
+
+/// A frame was put into a mailbox.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Load {
+    /// When.
+    pub at: VirtualInstant,
+    /// Whose.
+    pub station: StationId,
+    /// The frame.
+    pub frame: Frame,
+}
+
+/// What was on the wire, and what waited for it.
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
+pub struct BusLog {
+    attempts: Vec<Attempt>,
+    contests: Vec<Contest>,
+    loads: Vec<Load>,
+    pending: Vec<Pending>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+struct Pending {
+    station: StationId,
+    mailbox: usize,
+    frame: WireFrame,
+    /// It leaves the mailbox if it fails.
+    withdrawn: bool,
+}
+
+impl BusLog {
+    /// All attempts, in the order of time.
+    pub fn attempts(&self) -> &[Attempt] {
+        &self.attempts
+    }
+
+    /// Soft real-time frames that lost against soft real-time frames, in the order of time.
+    pub fn contests(&self) -> &[Contest] {
+        &self.contests
+    }
+
+    /// Hard and soft real-time frames that were put into mailboxes, in the order of time.
+    pub fn loads(&self) -> &[Load] {
+        &self.loads
+    }
+
+    /// Takes in what the bus has recorded.
+    pub fn take(&mut self, event: &TraceEvent) {
+        let at = event.at;
+        match &event.kind {
+            TraceKind::Load { station, mailbox, frame } => {
+                let pending =
+                    Pending { station: *station, mailbox: *mailbox, frame: *frame, withdrawn: false };
+                self.pending.push(pending);
+                if let Some(frame) = real_time(frame) {
+                    self.loads.push(Load { at, station: *station, frame });
+                }
+            }
+            TraceKind::Withdraw { station, mailbox, on_the_wire } => {
+                self.withdraw(*station, *mailbox, *on_the_wire);
+            }
+            TraceKind::FrameStart { number, station, mailbox, frame, attempt, .. } => {
+                self.contend(*station, *mailbox, frame);
+                self.attempts.push(Attempt {
+                    number: *number,
+                    station: *station,
+                    wire_frame: *frame,
+                    attempt: *attempt,
+                    start: at,
+                    end: at,
+                    ending: Ending::Open,
+                });
+            }
+            TraceKind::FrameEnd { number, station, frame, .. } => {
+                self.end(*number, at, Ending::Sent);
+                self.pending.retain(|pending| (pending.station, pending.frame) != (*station, *frame));
+            }
+            TraceKind::Error(error) => {
+                self.end(error.number, at, Ending::Failed(*error));
+                self.pending.retain(|pending| pending.station != error.station || !pending.withdrawn);
+            }
+            TraceKind::Reset { station } => self.pending.retain(|pending| pending.station != *station),
+            TraceKind::Omission { .. } | TraceKind::ErrorState { .. } | TraceKind::Connection { .. } => {}
+        }
+    }
+
+    fn withdraw(&mut self, station: StationId, mailbox: usize, on_the_wire: bool) {
+        if on_the_wire {
+            let place = self.pending.iter_mut().find(|it| (it.station, it.mailbox) == (station, mailbox));
+            if let Some(pending) = place {
+                pending.withdrawn = true;
+            }
+        } else {
+            self.pending.retain(|it| (it.station, it.mailbox) != (station, mailbox));
+        }
+    }
+
+    fn contend(&mut self, station: StationId, mailbox: usize, winner: &WireFrame) {
+        if !real_time(winner).is_some_and(|frame| is_soft(frame.id)) {
+            return;
+        }
+        let winner = self.attempts.len();
+        let others = self.pending.iter().filter(|it| (it.station, it.mailbox) != (station, mailbox));
+        let losers = others.filter_map(|it| real_time(&it.frame)).filter(|frame| is_soft(frame.id));
+        self.contests.extend(losers.map(|loser| Contest { winner, loser }));
+    }
+
+    fn end(&mut self, number: u64, at: VirtualInstant, ending: Ending) {
+        if let Some(attempt) = self.attempts.last_mut().filter(|attempt| attempt.number == number) {
+            attempt.end = at;
+            attempt.ending = ending;
+        }
+    }
+}
+
+fn real_time(frame: &WireFrame) -> Option<Frame> {
+    let frame = Frame::try_from(*frame).ok()?;
+    (frame.id.priority() <= Priority::SOFT_LEAST_URGENT).then_some(frame)
+}
+
+/// Does the frame carry a soft real-time event?
+pub fn is_soft(id: Id) -> bool {
+    let soft = Priority::SOFT_MOST_URGENT..=Priority::SOFT_LEAST_URGENT;
+    soft.contains(&id.priority()) && !id.etag().is_reserved()
+}

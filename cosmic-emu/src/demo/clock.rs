@@ -1,0 +1,139 @@
+//! Clocks seen from outside: the local time of each node, and the global time of the cluster.
+//!
+//! Only who watches the simulation knows true time. The local clock of a node is a straight line against
+//! it. Global time is the time scale of the master: the sync frames on the bus say who that is, and each
+//! follow-up says which global instant the master read at the end of its sync frame (Gergeleit and Streich).
+//! So the judge needs no word from the nodes about their own estimate of global time.
+
+use cosmic_bus::VirtualInstant;
+use cosmic_core::can::TxNode;
+use cosmic_core::protocol::{FollowUp, SyncMessage, SyncSequence};
+use cosmic_core::time::{GlobalInstant, Instant};
+
+use super::bus_log::{Attempt, Ending};
+
+/// A node's local time against true time: the straight line through two points.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct NodeClock {
+    local: Instant,
+    at: VirtualInstant,
+    local_span: i128,
+    true_span: i128,
+}
+
+impl NodeClock {
+    /// The line through two pairs of local and true time. `None` if they do not run the same way.
+    pub fn through(first: (Instant, VirtualInstant), second: (Instant, VirtualInstant)) -> Option<Self> {
+        let local_span = i128::from(second.0.signed_since(first.0));
+        let true_span = i128::from(second.1.as_ticks()) - i128::from(first.1.as_ticks());
+        if local_span == 0 || true_span == 0 || (local_span > 0) != (true_span > 0) {
+            return None;
+        }
+        Some(Self { local: first.0, at: first.1, local_span, true_span })
+    }
+
+    /// When the clock shows `local`; not before the start of the simulation.
+    pub fn instant(&self, local: Instant) -> VirtualInstant {
+        let span = i128::from(local.signed_since(self.local)) * self.true_span;
+        let at = i128::from(self.at.as_ticks()) + span.div_euclid(self.local_span);
+        VirtualInstant::from_ticks(u64::try_from(at.max(0)).unwrap_or(u64::MAX))
+    }
+
+    /// What the clock shows at `at`.
+    pub fn local(&self, at: VirtualInstant) -> Instant {
+        let span = i128::from(at.as_ticks()) - i128::from(self.at.as_ticks());
+        // Spans of a simulation are far below the 292 years that an i64 holds.
+        self.local.offset_by((span * self.local_span).div_euclid(self.true_span) as i64)
+    }
+}
+
+/// Global time of the cluster, from its sync frames.
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
+pub struct GlobalTimeline {
+    terms: Vec<Term>,
+}
+
+/// The time of one master.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Term {
+    /// The end of its first sync frame that had a follow-up.
+    pub from: VirtualInstant,
+    /// Who.
+    pub master: TxNode,
+    /// The digest of its calendar.
+    pub calendar_digest: u32,
+    clock: NodeClock,
+    /// Global less local time of the master, in nanoseconds.
+    offset: i64,
+}
+
+impl GlobalTimeline {
+    /// Reads the sync frames that were sent. A node whose clock is not known is passed over.
+    pub fn of(attempts: &[Attempt], clock_of: impl Fn(TxNode) -> Option<NodeClock>) -> Self {
+        let mut terms: Vec<Term> = Vec::new();
+        let mut pending: Option<(TxNode, SyncMessage, VirtualInstant)> = None;
+        for attempt in attempts.iter().filter(|attempt| attempt.ending == Ending::Sent) {
+            let Some(frame) = attempt.frame() else { continue };
+            let sender = frame.id.tx_node();
+            if let Some(message) = SyncMessage::decode(&frame) {
+                pending = Some((sender, message, attempt.end));
+            } else if let Some(follow_up) = FollowUp::decode(&frame) {
+                let Some((master, message, end)) = pending.take() else { continue };
+                if !belong_together((master, message.sequence), (sender, follow_up.sequence)) {
+                    continue;
+                }
+                if let Some(clock) = clock_of(master) {
+                    let offset = follow_up.sent_at.signed_since(as_global(clock.local(end)));
+                    let calendar_digest = message.calendar_digest;
+                    extend(&mut terms, Term { from: end, master, calendar_digest, clock, offset });
+                }
+            }
+        }
+        Self { terms }
+    }
+
+    /// The masters, in the order of their terms.
+    pub fn terms(&self) -> &[Term] {
+        &self.terms
+    }
+
+    /// Global time at `at`; `None` before the first sync frame.
+    pub fn global(&self, at: VirtualInstant) -> Option<GlobalInstant> {
+        let term = self.terms.iter().rev().find(|term| term.from <= at)?;
+        Some(term.global(at))
+    }
+
+    /// The true instant of a global instant; `None` before the first sync frame.
+    pub fn instant(&self, global: GlobalInstant) -> Option<VirtualInstant> {
+        self.terms.iter().rev().map(|term| (term.from, term.instant(global))).find_map(|(from, instant)| {
+            (instant >= from).then_some(instant)
+        })
+    }
+}
+
+impl Term {
+    fn global(&self, at: VirtualInstant) -> GlobalInstant {
+        as_global(self.clock.local(at)).offset_by(self.offset)
+    }
+
+    fn instant(&self, global: GlobalInstant) -> VirtualInstant {
+        let local = global.offset_by(self.offset.wrapping_neg());
+        self.clock.instant(Instant::from_epoch(local.since_epoch()))
+    }
+}
+
+/// The master reads its clock late, by its interrupt's latency. The least late reading is the best.
+fn extend(terms: &mut Vec<Term>, term: Term) {
+    match terms.last_mut() {
+        Some(last) if last.master == term.master => last.offset = last.offset.min(term.offset),
+        _ => terms.push(term),
+    }
+}
+
+fn belong_together(sync: (TxNode, SyncSequence), follow_up: (TxNode, SyncSequence)) -> bool {
+    sync == follow_up
+}
+
+fn as_global(local: Instant) -> GlobalInstant {
+    GlobalInstant::from_epoch(local.since_epoch())
+}

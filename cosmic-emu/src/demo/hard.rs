@@ -1,0 +1,331 @@
+//! The hard real-time slots of a run, one by one: what the calendar promised and what became of it.
+//!
+//! The windows come from the calendar in global time, the attempts from the wire, deliveries and exceptions
+//! from the records of the nodes. An event is within its *fault hypothesis* if at most k attempts to send it
+//! were destroyed in its window, k being the omission degree of the slot. Then it must become visible to
+//! each subscriber exactly once, at its delivery instant. Beyond the hypothesis it may be lost, but publisher
+//! and subscribers must be told.
+//!
+//! Until the clocks of all nodes are synchronised, nodes keep silent in their slots and say so (exception
+//! *clock out of bound*). That is the settling time; slots in it are not judged one by one, but what was
+//! published in it and lost must have been reported as often.
+
+use cosmic_bus::VirtualInstant;
+use cosmic_core::calendar::Slot;
+use cosmic_core::can::{Frame, Priority, TxNode};
+use cosmic_core::event_layer::ExceptionKind;
+use cosmic_core::time::{Duration, GlobalInstant};
+
+use super::bus_log::Ending;
+use super::clock::GlobalTimeline;
+use super::journal::Journal;
+use super::ledger::{Ledger, sequence_of};
+use super::span::{Span, Spread};
+use super::verdict::Violation;
+
+/// How late a task may see an instant that has come, besides the release jitter of the calendar: the
+/// longest time for which tasks and interrupts of lower priority lock what it needs.
+pub const TASK_BOUND: Duration = Duration::from_micros(10);
+
+/// The instants of one occurrence of a slot, in true time.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Window {
+    /// The mailbox is loaded.
+    pub ready: VirtualInstant,
+    /// Surely on the bus by now, if there was no fault.
+    pub latest_start: VirtualInstant,
+    /// The last retransmission has ended.
+    pub deadline: VirtualInstant,
+    /// Subscribers are notified.
+    pub delivery: VirtualInstant,
+}
+
+/// One occurrence of a slot.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Occurrence {
+    /// Of which slot.
+    pub slot: &'static Slot,
+    /// Its instants.
+    pub window: Window,
+    /// The attempts in it: indices into the attempts of the bus log.
+    pub attempts: Vec<usize>,
+    /// How many of them were destroyed.
+    pub faulted: u32,
+    /// The event that it carried; `None` if nothing was sent.
+    pub sequence: Option<u32>,
+    /// What became of it.
+    pub fate: Fate,
+}
+
+/// What became of an occurrence of a slot.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Fate {
+    /// The clocks were not synchronised yet.
+    Settling,
+    /// Visible to every subscriber at its delivery instant.
+    Delivered,
+    /// Nothing was there to be sent, which was reported if it had to be.
+    Unused,
+    /// Lost beyond its fault hypothesis, and reported.
+    Lost,
+    /// Not as promised.
+    Violated,
+}
+
+/// All slots of a run.
+#[derive(Clone, Debug, Default)]
+pub struct Slots {
+    /// When the clocks of all nodes were synchronised.
+    pub settled_at: Option<VirtualInstant>,
+    /// Exceptions *clock out of bound* until then.
+    pub settling_exceptions: usize,
+    /// The occurrences, in the order of time.
+    pub occurrences: Vec<Occurrence>,
+    /// Delivery less delivery instant, of all deliveries after settling.
+    pub deviation: Spread,
+    /// The same without its sign, by subscriber.
+    pub jitter: Vec<(TxNode, Slot, Spread)>,
+    /// What was not as promised.
+    pub violations: Vec<Violation>,
+}
+
+/// How far from its delivery instant an event may become visible: earlier by ε, later by ε, release jitter
+/// and [`TASK_BOUND`].
+pub fn bounds(journal: &Journal) -> (Span, Span) {
+    let segment = journal.cluster.calendar.segment();
+    (-Span::from(segment.accuracy), Span::from(segment.accuracy + segment.release_jitter + TASK_BOUND))
+}
+
+/// Judges a run.
+pub fn judge(journal: &Journal, ledger: &Ledger) -> Slots {
+    let timeline = journal.timeline();
+    let mut slots = Slots::default();
+    settle(journal, ledger, &timeline, &mut slots);
+    let judge = Judge { journal, ledger, timeline: &timeline, settled_at: slots.settled_at };
+    for slot in journal.cluster.calendar.slots() {
+        let mut from = 0;
+        for window in windows(journal, &timeline, slot) {
+            let occurrence = judge.occurrence(slot, window, &mut from, &mut slots);
+            slots.occurrences.push(occurrence);
+        }
+        judge.untimely_attempts(slot, &mut slots);
+    }
+    slots.occurrences.sort_by_key(|occurrence| occurrence.window.ready);
+    slots
+}
+
+/// The windows of a slot that lie within the run, from the first sync frame on.
+pub fn windows(journal: &Journal, timeline: &GlobalTimeline, slot: &Slot) -> Vec<Window> {
+    let Some(first) = timeline.terms().first().and_then(|term| timeline.global(term.from)) else {
+        return Vec::new();
+    };
+    let times = journal.cluster.calendar.slot_times(slot);
+    let period = slot.period.as_ticks();
+    let skipped = first.since_epoch().as_ticks().saturating_sub(slot.phase.as_ticks()).div_ceil(period);
+    let mut ready = GlobalInstant::from_epoch(slot.phase) + Duration::from_ticks(skipped * period);
+    let mut windows = Vec::new();
+    loop {
+        let at = |span| timeline.instant(ready + span);
+        let window = (at(Duration::from_ticks(0)))
+            .zip(at(times.latest_start))
+            .zip(at(times.deadline).zip(at(times.delivery)));
+        let Some(((ready_at, latest_start), (deadline, delivery))) = window else { return windows };
+        // The application has until the next ready instant to take the event.
+        if timeline.instant(ready + slot.period).is_none_or(|next| next > journal.end) {
+            return windows;
+        }
+        windows.push(Window { ready: ready_at, latest_start, deadline, delivery });
+        ready = ready + slot.period;
+    }
+}
+
+/// Finds the end of the settling time: from there on no node says that its clock is out of bound, for five
+/// periods at least.
+fn settle(journal: &Journal, ledger: &Ledger, timeline: &GlobalTimeline, slots: &mut Slots) {
+    let Some(start) = timeline.terms().first().map(|term| term.from) else { return };
+    let longest = journal.cluster.calendar.slots().iter().map(|slot| slot.period).max();
+    let calm = Span::from(longest.unwrap_or(Duration::from_ticks(0)) * CALM_PERIODS);
+    let mut told: Vec<_> = ledger.told.iter().filter(|it| it.kind == ExceptionKind::ClockOutOfBound).collect();
+    told.sort_by_key(|told| told.at);
+    let mut settled_at = start;
+    for told in told {
+        if Span::between(settled_at, told.at) > calm {
+            break;
+        }
+        settled_at = settled_at.max(told.at);
+        slots.settling_exceptions += 1;
+    }
+    if Span::between(settled_at, journal.end) > calm {
+        slots.settled_at = Some(settled_at);
+    }
+}
+
+struct Judge<'j> {
+    journal: &'j Journal,
+    ledger: &'j Ledger,
+    timeline: &'j GlobalTimeline,
+    settled_at: Option<VirtualInstant>,
+}
+
+impl Judge<'_> {
+    fn occurrence(
+        &self,
+        slot: &'static Slot,
+        window: Window,
+        from: &mut usize,
+        slots: &mut Slots,
+    ) -> Occurrence {
+        let attempts = self.attempts_in(slot, &window, from);
+        let log = self.journal.bus.attempts();
+        let faulted = attempts.iter().filter(|at| log[**at].has_failed()).count() as u32;
+        let carried = attempts.first().and_then(|at| log[*at].frame());
+        let sequence = carried.and_then(|frame| sequence_of(&frame));
+        let mut occurrence =
+            Occurrence { slot, window, attempts, faulted, sequence, fate: Fate::Settling };
+        if self.settled_at.is_some_and(|settled| window.ready > settled) {
+            occurrence.fate = match sequence {
+                None => self.empty(&occurrence, slots),
+                Some(sequence) => self.carried(&occurrence, sequence, slots),
+            };
+        }
+        occurrence
+    }
+
+    /// The attempts to send the slot's frame that started in its window; early or late by ε.
+    fn attempts_in(&self, slot: &Slot, window: &Window, from: &mut usize) -> Vec<usize> {
+        let segment = self.journal.cluster.calendar.segment();
+        let first = (-Span::from(segment.accuracy)).after(window.ready);
+        let last = Span::from(segment.gap()).after(window.deadline);
+        let log = self.journal.bus.attempts();
+        *from += log[*from..].partition_point(|attempt| attempt.start < first);
+        let within = log[*from..].iter().enumerate().take_while(|(_, attempt)| attempt.start <= last);
+        let ours = within.filter(|(_, attempt)| attempt.frame().is_some_and(|frame| belongs(slot, &frame)));
+        ours.map(|(at, _)| *from + at).collect()
+    }
+
+    /// Nothing was sent. If nothing had been published either, that is the application's affair.
+    fn empty(&self, occurrence: &Occurrence, slots: &mut Slots) -> Fate {
+        let Occurrence { slot, window, .. } = occurrence;
+        let told = |kind| self.was_told(slot.publisher, slot, window, kind);
+        let announced = self.ledger.account(slot.etag).is_some_and(|account| {
+            account.events.values().next().is_some_and(|life| life.published_at < window.ready)
+        });
+        if !announced || !slot.periodic || told(ExceptionKind::NothingPublished) {
+            return Fate::Unused;
+        }
+        let reasons =
+            [ExceptionKind::SlotSkipped, ExceptionKind::ClockOutOfBound, ExceptionKind::OmissionDegreeExceeded];
+        let reason = reasons.into_iter().find(|kind| told(*kind));
+        slots.violations.push(Violation::NotSent { ready: window.ready, etag: slot.etag, reason });
+        Fate::Violated
+    }
+
+    fn carried(&self, occurrence: &Occurrence, sequence: u32, slots: &mut Slots) -> Fate {
+        let slot = occurrence.slot;
+        let before = slots.violations.len();
+        let Some(channel) = self.journal.cluster.channel(slot.etag) else { return Fate::Violated };
+        let life = self.ledger.account(slot.etag).and_then(|account| account.events.get(&sequence));
+        let mut everywhere = true;
+        for subscriber in channel.subscribers {
+            let deliveries: Vec<_> = life.into_iter().flat_map(|life| life.deliveries_to(*subscriber)).collect();
+            match deliveries.as_slice() {
+                [delivery] => self.visible(occurrence, *subscriber, delivery.visible_at, slots),
+                [] => {
+                    everywhere = false;
+                    self.missed(occurrence, *subscriber, slots);
+                }
+                several => slots.violations.push(Violation::Duplicate {
+                    ready: occurrence.window.ready,
+                    etag: slot.etag,
+                    subscriber: *subscriber,
+                    times: several.len(),
+                }),
+            }
+        }
+        if !everywhere && occurrence.faulted > u32::from(slot.omission_degree) {
+            self.publisher_must_know(occurrence, slots);
+        }
+        match () {
+            () if slots.violations.len() > before => Fate::Violated,
+            () if everywhere => Fate::Delivered,
+            () => Fate::Lost,
+        }
+    }
+
+    fn visible(&self, occurrence: &Occurrence, subscriber: TxNode, at: VirtualInstant, slots: &mut Slots) {
+        let slot = occurrence.slot;
+        let off = Span::between(occurrence.window.delivery, at);
+        slots.deviation.add(off);
+        let place = slots.jitter.iter_mut().find(|(node, of, _)| (*node, of) == (subscriber, slot));
+        match place {
+            Some((_, _, spread)) => spread.add(off.abs()),
+            None => {
+                let mut spread = Spread::default();
+                spread.add(off.abs());
+                slots.jitter.push((subscriber, *slot, spread));
+            }
+        }
+        let (early, late) = bounds(self.journal);
+        if off < early || off > late {
+            let ready = occurrence.window.ready;
+            slots.violations.push(Violation::OffInstant { ready, etag: slot.etag, subscriber, off });
+        }
+    }
+
+    fn missed(&self, occurrence: &Occurrence, subscriber: TxNode, slots: &mut Slots) {
+        let Occurrence { slot, window, faulted, .. } = occurrence;
+        let (ready, etag) = (window.ready, slot.etag);
+        let told = |kind| self.was_told(subscriber, slot, window, kind);
+        if *faulted <= u32::from(slot.omission_degree) {
+            let faulted = *faulted;
+            slots.violations.push(Violation::NotDelivered { ready, etag, subscriber, faulted });
+        } else if slot.periodic && !told(ExceptionKind::MissedEvent) {
+            let (node, kind) = (subscriber, ExceptionKind::MissedEvent);
+            slots.violations.push(Violation::Silence { ready, etag, node, kind });
+        }
+    }
+
+    fn publisher_must_know(&self, occurrence: &Occurrence, slots: &mut Slots) {
+        let Occurrence { slot, window, .. } = occurrence;
+        let kind = ExceptionKind::OmissionDegreeExceeded;
+        if !self.was_told(slot.publisher, slot, window, kind) {
+            let (ready, etag, node) = (window.ready, slot.etag, slot.publisher);
+            slots.violations.push(Violation::Silence { ready, etag, node, kind });
+        }
+    }
+
+    /// Was the node told of this between the ready instant and half a period after the delivery instant?
+    fn was_told(&self, node: TxNode, slot: &Slot, window: &Window, kind: ExceptionKind) -> bool {
+        let early = Span::from(self.journal.cluster.calendar.segment().accuracy);
+        let from = (-early).after(window.ready);
+        let until = window.delivery + (slot.period / 2);
+        self.ledger.told.iter().any(|told| {
+            (told.node, told.etag, told.kind) == (node, Some(slot.etag), kind)
+                && told.at >= from
+                && told.at <= until
+        })
+    }
+
+    /// Frames of the slot that were on the bus outside all of its windows.
+    fn untimely_attempts(&self, slot: &'static Slot, slots: &mut Slots) {
+        let Some(settled) = self.settled_at else { return };
+        let claimed: std::collections::BTreeSet<usize> =
+            slots.occurrences.iter().filter(|it| it.slot == slot).flat_map(|it| it.attempts.clone()).collect();
+        let last = windows(self.journal, self.timeline, slot).last().map(|window| window.delivery);
+        for (at, attempt) in self.journal.bus.attempts().iter().enumerate() {
+            let ours = attempt.frame().is_some_and(|frame| belongs(slot, &frame));
+            let judged = attempt.start > settled && last.is_some_and(|last| attempt.start < last);
+            if ours && judged && attempt.ending != Ending::Open && !claimed.contains(&at) {
+                slots.violations.push(Violation::OutsideSlot { at: attempt.start, etag: slot.etag });
+            }
+        }
+    }
+}
+
+fn belongs(slot: &Slot, frame: &Frame) -> bool {
+    let id = frame.id;
+    (id.priority(), id.tx_node(), id.etag()) == (Priority::HARD, slot.publisher, slot.etag)
+}
+
+/// After so many periods without an exception the clocks are taken for synchronised.
+const CALM_PERIODS: u32 = 5;

@@ -1,0 +1,43 @@
+//! What is left of a run when it is over: all that the judge, the tables and the picture are made of.
+
+use cosmic_bus::{Accounting, VirtualInstant};
+use cosmic_core::can::{BitRate, TxNode};
+
+use super::bus_log::BusLog;
+use super::clock::{GlobalTimeline, NodeClock};
+use super::example::Cluster;
+use super::load::BackgroundLog;
+use super::record::Record;
+
+/// A run, as it was observed from outside.
+#[derive(Clone, Debug)]
+pub struct Journal {
+    /// The cluster that ran.
+    pub cluster: &'static Cluster,
+    /// The bit rate of the bus.
+    pub bit_rate: BitRate,
+    /// What was on the wire.
+    pub bus: BusLog,
+    /// What the bus was busy with.
+    pub accounting: Accounting,
+    /// What the nodes have recorded; of one node in the order in which it was written.
+    pub records: Vec<(TxNode, Record)>,
+    /// The local clocks.
+    pub clocks: Vec<(TxNode, NodeClock)>,
+    /// What the background load has sent.
+    pub background: BackgroundLog,
+    /// When the run ended.
+    pub end: VirtualInstant,
+}
+
+impl Journal {
+    /// The local clock of a node.
+    pub fn clock(&self, tx_node: TxNode) -> Option<NodeClock> {
+        self.clocks.iter().find(|(node, _)| *node == tx_node).map(|(_, clock)| *clock)
+    }
+
+    /// Global time, by the sync frames.
+    pub fn timeline(&self) -> GlobalTimeline {
+        GlobalTimeline::of(self.bus.attempts(), |node| self.clock(node))
+    }
+}

@@ -1,0 +1,24 @@
+//! The demonstration: runs the example cluster, judges what happened, and shows it.
+//!
+//! | module | does |
+//! |---|---|
+//! | [`example`] | the cluster that runs: nodes, channels, calendar |
+//! | [`load`] | the background load |
+//! | [`record`], [`bus_log`], [`clock`] | what can be observed: records of the nodes, frames on the wire, time |
+//! | [`journal`], [`ledger`] | what is left of a run, and the life of each event |
+//! | [`hard`], [`order`], [`verdict`] | the judgement: slots, order of deadlines, losses against exceptions |
+//!
+//! The judge trusts no node: windows follow from the calendar and the sync frames on the wire, instants from
+//! the records that the firmware writes into its RTT buffer, in its own local time.
+
+pub mod bus_log;
+pub mod clock;
+pub mod example;
+pub mod hard;
+pub mod journal;
+pub mod ledger;
+pub mod load;
+pub mod order;
+pub mod record;
+pub mod span;
+pub mod verdict;

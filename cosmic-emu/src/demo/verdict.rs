@@ -1,0 +1,397 @@
+//! The verdict: was everything as promised, and was everything that was lost reported?
+
+use cosmic_bus::VirtualInstant;
+use cosmic_core::can::{Etag, TxNode};
+use cosmic_core::event_layer::ExceptionKind;
+
+use super::example::{Channel, Class, Cluster};
+use super::hard::{self, Slots};
+use super::journal::Journal;
+use super::ledger::{Account, Ledger, Life};
+use super::order::{self, Order};
+use super::span::Span;
+
+/// Something that was not as promised.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub enum Violation {
+    /// The clocks were not synchronised before the run ended.
+    NeverSettled,
+    /// The images carry another calendar than the judge.
+    OtherCalendar {
+        /// The digest of the images' calendar.
+        digest: u32,
+    },
+    /// A published hard real-time event was not sent in its slot.
+    NotSent {
+        /// The ready instant of the slot.
+        ready: VirtualInstant,
+        /// The channel.
+        etag: Etag,
+        /// What the publisher was told.
+        reason: Option<ExceptionKind>,
+    },
+    /// A hard real-time event within its fault hypothesis did not reach a subscriber.
+    NotDelivered {
+        /// The ready instant of the slot.
+        ready: VirtualInstant,
+        /// The channel.
+        etag: Etag,
+        /// Whom.
+        subscriber: TxNode,
+        /// Attempts that were destroyed.
+        faulted: u32,
+    },
+    /// A hard real-time event became visible at another instant than that of the calendar.
+    OffInstant {
+        /// The ready instant of the slot.
+        ready: VirtualInstant,
+        /// The channel.
+        etag: Etag,
+        /// Where.
+        subscriber: TxNode,
+        /// By how much, later is positive.
+        off: Span,
+    },
+    /// A hard real-time event became visible more than once.
+    Duplicate {
+        /// The ready instant of the slot.
+        ready: VirtualInstant,
+        /// The channel.
+        etag: Etag,
+        /// Where.
+        subscriber: TxNode,
+        /// How often.
+        times: usize,
+    },
+    /// A hard real-time frame was on the bus outside its slot.
+    OutsideSlot {
+        /// When.
+        at: VirtualInstant,
+        /// The channel.
+        etag: Etag,
+    },
+    /// A hard real-time event was lost and a node was not told.
+    Silence {
+        /// The ready instant of the slot.
+        ready: VirtualInstant,
+        /// The channel.
+        etag: Etag,
+        /// Who was not told.
+        node: TxNode,
+        /// Of what.
+        kind: ExceptionKind,
+    },
+    /// Of the events of a channel, more were lost than were reported, or the other way round.
+    Unreported {
+        /// The channel.
+        etag: Etag,
+        /// Who had to be told.
+        node: TxNode,
+        /// What became of the events.
+        what: Loss,
+        /// How many there were.
+        lost: usize,
+        /// How many were reported.
+        reported: usize,
+    },
+    /// A soft real-time event was sent before a more urgent one that competed with it.
+    OutOfOrder(order::Inversion),
+    /// Records of a channel are missing, so nothing is known of these events.
+    RecordsLost {
+        /// The channel.
+        etag: Etag,
+        /// How many.
+        count: u64,
+    },
+    /// Frames or records tell of events that nobody published.
+    Invented {
+        /// How many.
+        count: usize,
+    },
+}
+
+/// What can become of an event that does not arrive, or late.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Loss {
+    /// Not sent by its deadline.
+    Late,
+    /// Not sent before it expired.
+    Expired,
+    /// Sent, and not delivered to a subscriber.
+    Undelivered,
+    /// Not taken by the publisher's middleware.
+    Refused,
+    /// Published before the clocks were synchronised, and not delivered.
+    Settling,
+    /// Not sent, although a later event of the same channel was.
+    Overtaken,
+}
+
+/// The events of a soft or non real-time channel, or of a hard real-time one, in numbers.
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
+pub struct Tally {
+    /// Events that the publisher's middleware took.
+    pub published: usize,
+    /// Events that it refused.
+    pub refused: usize,
+    /// Events whose first copy was sent.
+    pub sent: usize,
+    /// Events that were not sent by their deadline; hard real-time: not delivered in their slot.
+    pub missed: usize,
+    /// Events that expired before they were sent.
+    pub expired: usize,
+    /// Events that were still on their way when the run ended.
+    pub under_way: usize,
+    /// Hard real-time events that were published before the clocks were synchronised, and not delivered.
+    pub settling: usize,
+}
+
+/// All that there is to be said of a run.
+#[derive(Clone, Debug)]
+pub struct Verdict {
+    /// The life of each event.
+    pub ledger: Ledger,
+    /// The hard real-time slots.
+    pub slots: Slots,
+    /// How soft real-time events competed.
+    pub order: Order,
+    /// The channels in numbers, in the order of the cluster.
+    pub tallies: Vec<Tally>,
+    /// What was not as promised.
+    pub violations: Vec<Violation>,
+}
+
+impl Verdict {
+    /// Judges a run.
+    pub fn of(journal: &Journal) -> Self {
+        let ledger = Ledger::of(journal);
+        let slots = hard::judge(journal, &ledger);
+        let order = order::judge(journal, &ledger);
+        let mut violations = slots.violations.clone();
+        if slots.settled_at.is_none() {
+            violations.push(Violation::NeverSettled);
+        }
+        let digest = journal.cluster.calendar.digest();
+        let terms = journal.timeline();
+        let other = terms.terms().iter().find(|term| term.calendar_digest != digest);
+        violations.extend(other.map(|term| Violation::OtherCalendar { digest: term.calendar_digest }));
+        violations.extend(order.inversions.iter().map(|inversion| Violation::OutOfOrder(*inversion)));
+        if ledger.unknown_events > 0 {
+            violations.push(Violation::Invented { count: ledger.unknown_events });
+        }
+        let books = Books { journal, ledger: &ledger, slots: &slots };
+        let tallies = ledger.channels.iter().map(|account| books.tally(account, &mut violations)).collect();
+        Self { ledger, slots, order, tallies, violations }
+    }
+
+    /// Was everything as promised?
+    pub fn is_passed(&self) -> bool {
+        self.violations.is_empty()
+    }
+}
+
+/// Compares what was lost with what was reported.
+struct Books<'j> {
+    journal: &'j Journal,
+    ledger: &'j Ledger,
+    slots: &'j Slots,
+}
+
+impl Books<'_> {
+    fn tally(&self, account: &Account, violations: &mut Vec<Violation>) -> Tally {
+        let lives = || account.events.values();
+        let published = lives().filter(|life| life.taken).count();
+        let mut tally = Tally {
+            published,
+            refused: account.events.len() - published,
+            sent: lives().filter(|life| life.sent_at.is_some()).count(),
+            ..Tally::default()
+        };
+        if account.gaps() > 0 {
+            violations.push(Violation::RecordsLost { etag: account.channel.etag, count: account.gaps() });
+        }
+        self.check_refused(account.channel, tally.refused, violations);
+        match account.channel.class {
+            Class::Hard => self.tally_hard(account, &mut tally, violations),
+            Class::Soft { .. } => {
+                self.tally_soft(account, &mut tally, violations);
+                self.check_deliveries(account, violations);
+            }
+            Class::NonRealTime => {
+                self.tally_non_real_time(account, &mut tally, violations);
+                self.check_deliveries(account, violations);
+            }
+        }
+        tally
+    }
+
+    fn check_refused(&self, channel: &Channel, refused: usize, violations: &mut Vec<Violation>) {
+        let reported = self.ledger.count(channel.publisher, channel.etag, ExceptionKind::TransmitQueueFull);
+        if refused > reported {
+            let (etag, node, what) = (channel.etag, channel.publisher, Loss::Refused);
+            violations.push(Violation::Unreported { etag, node, what, lost: refused, reported });
+        }
+    }
+
+    /// Slots are judged one by one elsewhere; what is left is the settling time.
+    fn tally_hard(&self, account: &Account, tally: &mut Tally, violations: &mut Vec<Violation>) {
+        let channel = account.channel;
+        let settled = |life: &&Life| self.slots.settled_at.is_some_and(|at| life.published_at > at);
+        let period = self.journal.cluster.calendar.slots().iter().find(|slot| slot.etag == channel.etag);
+        let late = period.map_or(self.journal.end, |slot| {
+            (-Span::from(slot.period + slot.period)).after(self.journal.end)
+        });
+        for life in account.events.values() {
+            let arrived = channel.subscribers.iter().all(|it| life.deliveries_to(*it).next().is_some());
+            match () {
+                () if arrived => {}
+                () if life.published_at > late => tally.under_way += 1,
+                () if settled(&life) => tally.missed += 1,
+                () => tally.settling += 1,
+            }
+        }
+        let told = |kind| self.ledger.count(channel.publisher, channel.etag, kind);
+        let reported = told(ExceptionKind::ClockOutOfBound)
+            + told(ExceptionKind::SlotSkipped)
+            + told(ExceptionKind::OmissionDegreeExceeded);
+        // At each end of the settling time an event may be replaced by the next one before its slot comes.
+        if tally.settling > reported + 2 {
+            let (etag, node, lost) = (channel.etag, channel.publisher, tally.settling);
+            violations.push(Violation::Unreported { etag, node, what: Loss::Settling, lost, reported });
+        }
+    }
+
+    fn tally_soft(&self, account: &Account, tally: &mut Tally, violations: &mut Vec<Violation>) {
+        let (end, tolerance) = (self.journal.end, Span::from(TOLERANCE));
+        let lives = || account.events.values().filter(|life| life.taken);
+        let over = |at: Option<VirtualInstant>, by| at.is_some_and(|at| by > tolerance.after(at));
+        let unsent = |life: &&Life| life.sent_at.is_none();
+        tally.expired = lives().filter(unsent).filter(|life| over(life.expires_at, end)).count();
+        tally.under_way = lives().filter(unsent).count() - tally.expired;
+        let channel = account.channel;
+        let told = |kind| self.ledger.count(channel.publisher, channel.etag, kind);
+        let check = |what, lost: core::ops::RangeInclusive<usize>, reported, violations: &mut Vec<_>| {
+            if !lost.contains(&reported) {
+                let (etag, node, lost) = (channel.etag, channel.publisher, *lost.start());
+                violations.push(Violation::Unreported { etag, node, what, lost, reported });
+            }
+        };
+        let possibly = tally.expired + tally.under_way;
+        check(Loss::Expired, tally.expired..=possibly, told(ExceptionKind::ValidityExpired), violations);
+        // Who is late by less than the tolerance may count either way.
+        let late = |slack: Span| {
+            let late = |life: &&Life| {
+                let sent = life.sent_at.unwrap_or(end);
+                life.deadline.is_some_and(|deadline| sent > slack.after(deadline))
+            };
+            lives().filter(late).count()
+        };
+        tally.missed = told(ExceptionKind::MissedDeadline);
+        check(Loss::Late, late(tolerance)..=late(-tolerance), tally.missed, violations);
+    }
+
+    /// Non real-time events of a channel are sent in the order in which they were published.
+    fn tally_non_real_time(&self, account: &Account, tally: &mut Tally, violations: &mut Vec<Violation>) {
+        let taken = || account.events.iter().filter(|(_, life)| life.taken);
+        let last_sent = taken().filter(|(_, life)| life.sent_at.is_some()).map(|(number, _)| *number).max();
+        let unsent = || taken().filter(|(_, life)| life.sent_at.is_none()).map(|(number, _)| *number);
+        let overtaken = unsent().filter(|number| last_sent.is_some_and(|last| *number < last)).count();
+        tally.under_way = unsent().count() - overtaken;
+        if overtaken > 0 {
+            let (etag, node) = (account.channel.etag, account.channel.publisher);
+            let what = Loss::Overtaken;
+            violations.push(Violation::Unreported { etag, node, what, lost: overtaken, reported: 0 });
+        }
+    }
+
+    /// What was sent arrives at each subscriber, or the subscriber is told.
+    fn check_deliveries(&self, account: &Account, violations: &mut Vec<Violation>) {
+        let channel = account.channel;
+        let recent = (-Span::from(NOTIFIED)).after(self.journal.end);
+        for node in channel.subscribers {
+            let sent = account.events.values().filter(|life| life.sent_at.is_some_and(|at| at < recent));
+            let lost = sent.filter(|life| life.deliveries_to(*node).next().is_none()).count();
+            let told = |kind| self.ledger.count(*node, channel.etag, kind);
+            let reported = told(ExceptionKind::QueueFull) + told(ExceptionKind::Malformed);
+            if lost > reported {
+                let (etag, node, what) = (channel.etag, *node, Loss::Undelivered);
+                violations.push(Violation::Unreported { etag, node, what, lost, reported });
+            }
+        }
+    }
+}
+
+impl Violation {
+    /// In words, for one line.
+    pub fn describe(&self, cluster: &Cluster) -> String {
+        let channel = |etag: &Etag| cluster.channel(*etag).map_or("another channel", |it| it.name);
+        let name = |node: &TxNode| cluster.name(*node);
+        let slot = |etag: &Etag, ready: &VirtualInstant| format!("{} at {}", channel(etag), milliseconds(*ready));
+        match self {
+            Self::NeverSettled => "the clocks were not synchronised before the end: let it run longer \
+                                   (--seconds)"
+                .into(),
+            Self::OtherCalendar { digest } => {
+                format!("the images carry another calendar ({digest:08X}) than the demo: build both again")
+            }
+            Self::NotSent { ready, etag, reason } => {
+                let reason = reason.map_or("and nobody was told".into(), |it| format!("{it:?}"));
+                format!("{}: published, but not sent in its slot ({reason})", slot(etag, ready))
+            }
+            Self::NotDelivered { ready, etag, subscriber, faulted } => format!(
+                "{}: not delivered to {}, with {faulted} destroyed attempts",
+                slot(etag, ready),
+                name(subscriber)
+            ),
+            Self::OffInstant { ready, etag, subscriber, off } => {
+                format!("{}: visible to {} {off} off its instant", slot(etag, ready), name(subscriber))
+            }
+            Self::Duplicate { ready, etag, subscriber, times } => {
+                format!("{}: visible to {} {times} times", slot(etag, ready), name(subscriber))
+            }
+            Self::OutsideSlot { at, etag } => {
+                format!("{}: a frame outside its slot, at {}", channel(etag), milliseconds(*at))
+            }
+            Self::Silence { ready, etag, node, kind } => {
+                format!("{}: lost, and {} was not told ({kind:?})", slot(etag, ready), name(node))
+            }
+            Self::Unreported { etag, node, what, lost, reported } => format!(
+                "{}: {lost} events {}, {} was told {reported} times",
+                channel(etag),
+                what.describe(),
+                name(node)
+            ),
+            Self::OutOfOrder(inversion) => format!(
+                "at {}: {} sent an event {} less urgent than one of {}",
+                milliseconds(inversion.at),
+                name(&inversion.winner),
+                inversion.by,
+                name(&inversion.loser)
+            ),
+            Self::RecordsLost { etag, count } => format!("{}: {count} records are missing", channel(etag)),
+            Self::Invented { count } => format!("{count} frames or records of events that nobody published"),
+        }
+    }
+}
+
+impl Loss {
+    const fn describe(self) -> &'static str {
+        match self {
+            Self::Late => "were late",
+            Self::Expired => "expired",
+            Self::Undelivered => "were sent but not delivered",
+            Self::Refused => "were refused",
+            Self::Settling => "were lost before the clocks were synchronised",
+            Self::Overtaken => "were not sent, but later ones were",
+        }
+    }
+}
+
+fn milliseconds(at: VirtualInstant) -> String {
+    format!("{:.3} ms", at.as_ticks() as f64 / 1e6)
+}
+
+/// How late a node may notice that an instant has passed, or that a frame was sent.
+const TOLERANCE: cosmic_core::time::Duration = cosmic_core::time::Duration::from_micros(100);
+/// From the end of a frame until the application has taken its event, at worst.
+const NOTIFIED: cosmic_core::time::Duration = cosmic_core::time::Duration::from_millis(2);

@@ -1,0 +1,449 @@
+//! One emulated microcontroller: core, peripherals and firmware, and the loop that runs them.
+//!
+//! A node runs on its own up to an instant that the cluster gives, between two events of the bus. It
+//! stops earlier when it asks something of the bus that has an answer at once. Asleep (WFI), it jumps
+//! from deadline to deadline.
+
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+use cosmic_bus::{ErrorState, EventKind, VirtualInstant, WireFrame, time};
+use cosmic_core::time::Duration;
+use fugit::HertzU32;
+
+use crate::clock::ClockError;
+use crate::cpu::{Cpu, Io, Pace, Register, Stop, UnicornCpu};
+use crate::exception::{self, ENTRY_CYCLES, RETURN_CYCLES, TAIL_CHAIN_CYCLES};
+use crate::image::{Image, LoadError};
+use crate::log::LogDecoder;
+use crate::memory;
+use crate::observation::{ObservationKind, Pin, Place, StopReason};
+use crate::rtt::Rtt;
+use crate::soc::can::{Command, Outcome};
+use crate::soc::{HappeningKind, System, number};
+
+/// Where a node's firmware comes from.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub enum Firmware {
+    /// An ELF file, as it is flashed.
+    File(PathBuf),
+    /// The bytes of such a file, with a name for messages.
+    Bytes {
+        /// For messages.
+        name: String,
+        /// The file.
+        bytes: Vec<u8>,
+    },
+}
+
+/// What a node is made of.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct NodeConfig {
+    /// For traces and messages.
+    pub name: String,
+    /// Its program.
+    pub firmware: Firmware,
+    /// How far its crystal is from its nominal frequency.
+    pub clock_error: ClockError,
+    /// When it is switched on.
+    pub start_at: VirtualInstant,
+    /// The crystal of its board.
+    pub crystal: HertzU32,
+    /// The unique device identifier that the firmware can read (RM0090, 39.1).
+    pub unique_id: [u8; 12],
+}
+
+impl NodeConfig {
+    /// A node with an exact crystal of 8 MHz, switched on at the start, running an ELF file. Its unique
+    /// identifier is made from its name.
+    pub fn new(name: impl Into<String>, elf: impl Into<PathBuf>) -> Self {
+        let name = name.into();
+        let mut unique_id = [0; 12];
+        for (slot, byte) in unique_id.iter_mut().zip(name.bytes()) {
+            *slot = byte;
+        }
+        Self {
+            name,
+            firmware: Firmware::File(elf.into()),
+            clock_error: ClockError::ZERO,
+            start_at: time::EPOCH,
+            crystal: HertzU32::MHz(8),
+            unique_id,
+        }
+    }
+}
+
+/// Longest time that RTT channels are not looked at while a node does not sleep.
+const DRAIN_PERIOD: Duration = Duration::from_millis(1);
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum State {
+    Running,
+    /// At a WFI or WFE.
+    Asleep,
+    Stopped,
+}
+
+/// An emulated microcontroller.
+pub(crate) struct Node {
+    config: NodeConfig,
+    image: Image,
+    cpu: Box<dyn Cpu>,
+    pace: Rc<Pace>,
+    system: Rc<RefCell<System>>,
+    state: State,
+    /// The event register of WFE and SEV.
+    event: bool,
+    rtt: Option<Rtt>,
+    log: LogDecoder,
+    drained_at: VirtualInstant,
+    seen: Vec<(VirtualInstant, ObservationKind)>,
+}
+
+impl Node {
+    pub(crate) fn new(config: NodeConfig) -> Result<Self, LoadError> {
+        let image = match &config.firmware {
+            Firmware::File(path) => Image::read(path)?,
+            Firmware::Bytes { name, bytes } => Image::parse(Path::new(name), bytes)?,
+        };
+        let start = config.start_at;
+        let (cpu, pace, system) = power_on(&config, &image, start)?;
+        let rtt = image.rtt.map(Rtt::new);
+        let log = LogDecoder::default();
+        let (state, event) = (State::Running, false);
+        Ok(Self { config, image, cpu, pace, system, state, event, rtt, log, drained_at: start, seen: vec![] })
+    }
+
+    /// Switches the node off and on again: RAM and peripherals are as new, probes stay.
+    pub(crate) fn restart(&mut self, at: VirtualInstant) -> Result<(), LoadError> {
+        self.drain();
+        let probes = self.pace.probes();
+        (self.cpu, self.pace, self.system) = power_on(&self.config, &self.image, at)?;
+        probes.into_iter().for_each(|pc| self.pace.add_probe(pc));
+        self.rtt = self.image.rtt.map(Rtt::new);
+        self.log = LogDecoder::default();
+        (self.state, self.event, self.drained_at) = (State::Running, false, at);
+        Ok(())
+    }
+
+    /// Stops the node without a word: its power fails.
+    pub(crate) fn power_off(&mut self) {
+        self.drain();
+        self.state = State::Stopped;
+    }
+
+    pub(crate) fn image(&self) -> &Image {
+        &self.image
+    }
+
+    pub(crate) fn pace(&self) -> &Pace {
+        &self.pace
+    }
+
+    pub(crate) fn is_stopped(&self) -> bool {
+        self.state == State::Stopped
+    }
+
+    pub(crate) fn wants_reset(&self) -> bool {
+        self.system.borrow().reset_requested
+    }
+
+    /// The bit rate that the firmware set, in bits per second.
+    pub(crate) fn can_bits_per_second(&self) -> u32 {
+        self.system.borrow().can_bits_per_second()
+    }
+
+    /// The node does nothing before this instant, unless the bus wakes it.
+    pub(crate) fn acts_at(&self) -> VirtualInstant {
+        let system = self.system.borrow();
+        match self.state {
+            State::Stopped => time::FAR_FUTURE,
+            State::Running => system.now(),
+            State::Asleep => {
+                let masks = exception::masks(self.cpu.as_ref());
+                if system.nvic.wakes(masks) {
+                    return system.now();
+                }
+                let deadline = system.deadline();
+                deadline.map_or(time::FAR_FUTURE, |cycle| system.timebase.instant(cycle).max(system.now()))
+            }
+        }
+    }
+
+    /// Runs until the instant `until`, or until the bus must act first.
+    pub(crate) fn run(&mut self, until: VirtualInstant) {
+        while self.state != State::Stopped {
+            let masks = exception::masks(self.cpu.as_ref());
+            let mut system = self.system.borrow_mut();
+            system.advance();
+            let horizon = system.timebase.cycle_at(until);
+            if system.must_stop() || self.pace.cycle() >= horizon {
+                break;
+            }
+            if system.nvic.to_take(masks).is_some() {
+                drop(system);
+                self.take_exception();
+                continue;
+            }
+            if self.state == State::Asleep && !system.nvic.wakes(masks) {
+                let next = system.deadline().map_or(horizon, |deadline| deadline.min(horizon));
+                self.pace.skip_to(next);
+                continue;
+            }
+            self.state = State::Running;
+            self.pace.set_pending(system.nvic.any_pending());
+            system.set_horizon(horizon);
+            drop(system);
+            let stop = self.cpu.run();
+            self.handle(stop);
+        }
+        let now = self.system.borrow().now();
+        if now >= self.drained_at + DRAIN_PERIOD {
+            self.drain();
+        }
+    }
+
+    fn handle(&mut self, stop: Stop) {
+        match stop {
+            Stop::Limit => {}
+            Stop::WaitForInterrupt => {
+                self.step_over();
+                self.state = State::Asleep;
+                self.drain();
+            }
+            Stop::WaitForEvent => {
+                self.step_over();
+                if !std::mem::take(&mut self.event) {
+                    self.state = State::Asleep;
+                    self.drain();
+                }
+            }
+            Stop::SendEvent => {
+                self.step_over();
+                self.event = true;
+            }
+            Stop::SupervisorCall => self.supervisor_call(),
+            Stop::Breakpoint(immediate) => self.stop(StopReason::Breakpoint(immediate)),
+            Stop::ExceptionReturn(exc_return) => self.return_from_exception(exc_return),
+            Stop::Fault(fault) => self.stop(StopReason::Fault(fault)),
+        }
+    }
+
+    /// Executes a 16-bit instruction that the core leaves to us.
+    fn step_over(&mut self) {
+        let pc = self.cpu.register(Register::Pc);
+        self.pace.execute(pc, 2, 1, 1);
+        self.cpu.set_register(Register::Pc, pc + 2);
+    }
+
+    fn supervisor_call(&mut self) {
+        self.step_over();
+        let masks = exception::masks(self.cpu.as_ref());
+        let mut system = self.system.borrow_mut();
+        system.nvic.pend(number::SV_CALL);
+        let is_taken = system.nvic.to_take(masks).is_some();
+        drop(system);
+        if !is_taken {
+            self.stop(StopReason::MaskedSupervisorCall);
+        }
+    }
+
+    fn take_exception(&mut self) {
+        let align = self.system.borrow().control.aligns_stack();
+        match exception::stack(self.cpu.as_mut(), align) {
+            Ok(exc_return) => self.enter_handler(exc_return, ENTRY_CYCLES),
+            Err(fault) => self.stop(StopReason::Fault(fault)),
+        }
+    }
+
+    /// Enters the most urgent handler that there is `cycles` from now: one that arrives late goes first.
+    fn enter_handler(&mut self, exc_return: u32, cycles: u64) {
+        let masks = exception::masks(self.cpu.as_ref());
+        self.pace.skip_to(self.pace.cycle() + cycles);
+        let mut system = self.system.borrow_mut();
+        system.advance();
+        let Some(exception) = system.nvic.to_take(masks) else { return };
+        system.nvic.activate(exception);
+        let vector = self.cpu.read_word(system.control.vtor + 4 * u32::from(exception));
+        drop(system);
+        match vector {
+            Ok(handler) if handler & 1 != 0 => {
+                exception::enter(self.cpu.as_mut(), exception, handler, exc_return);
+                self.pace.redirect();
+                self.event = true;
+                self.state = State::Running;
+            }
+            _ => self.stop(StopReason::NoHandler(exception)),
+        }
+    }
+
+    fn return_from_exception(&mut self, exc_return: u32) {
+        let mut system = self.system.borrow_mut();
+        let exception = system.nvic.current();
+        system.nvic.deactivate(exception);
+        let leaves_handlers = system.nvic.current() == 0;
+        let sleeps = leaves_handlers && system.control.sleeps_on_exit();
+        exception::clear_faultmask(self.cpu.as_mut(), exception);
+        let masks = exception::masks(self.cpu.as_ref());
+        system.advance();
+        let chains = system.nvic.to_take(masks).is_some();
+        drop(system);
+        if exception == 0 || !exception::is_valid(exc_return, leaves_handlers) {
+            self.stop(StopReason::BadExceptionReturn(exc_return));
+            return;
+        }
+        self.pace.redirect();
+        self.event = true;
+        if chains {
+            self.enter_handler(exc_return, TAIL_CHAIN_CYCLES);
+        } else if let Err(fault) = exception::unstack(self.cpu.as_mut(), exc_return) {
+            self.stop(StopReason::Fault(fault));
+        } else {
+            self.pace.skip_to(self.pace.cycle() + RETURN_CYCLES);
+            self.state = if sleeps { State::Asleep } else { State::Running };
+        }
+    }
+
+    fn stop(&mut self, reason: StopReason) {
+        self.drain();
+        self.collect_hits();
+        self.state = State::Stopped;
+        let at = self.system.borrow().now();
+        let place = self.place(self.pace.pc());
+        self.seen.push((at, ObservationKind::Stopped { reason, place }));
+    }
+
+    /// The bus tells this node's controller something.
+    pub(crate) fn deliver(&mut self, at: VirtualInstant, event: &EventKind, bit_time: Duration) {
+        let mut system = self.system.borrow_mut();
+        self.pace.skip_to(system.timebase.cycle_at(at));
+        system.advance();
+        let now = self.pace.cycle();
+        match event {
+            EventKind::Received(frame) => {
+                let started = system.timebase.cycle_at(start_of(frame, at, bit_time));
+                system.can.receive(started, frame);
+            }
+            EventKind::Sent { mailbox } => system.can.complete(now, *mailbox, Outcome::Sent),
+            EventKind::Withdrawn { mailbox } => system.can.complete(now, *mailbox, Outcome::Withdrawn),
+            EventKind::Failed { mailbox, cause } => system.can.failed(now, *mailbox, *cause),
+            EventKind::ErrorState(state) => system.can.set_errors(*state),
+        }
+        system.update_lines();
+    }
+
+    /// The bus counted errors.
+    pub(crate) fn set_errors(&mut self, errors: ErrorState) {
+        let mut system = self.system.borrow_mut();
+        system.can.set_errors(errors);
+        system.update_lines();
+    }
+
+    /// What the node wants of the bus, and when it said so.
+    pub(crate) fn take_commands(&mut self) -> Vec<(VirtualInstant, Command)> {
+        let mut system = self.system.borrow_mut();
+        let commands = system.can.take_commands();
+        commands.into_iter().map(|(cycle, command)| (system.timebase.instant(cycle), command)).collect()
+    }
+
+    /// What was seen of the node since the last call, in the order of time.
+    pub(crate) fn take_seen(&mut self) -> Vec<(VirtualInstant, ObservationKind)> {
+        self.collect_hits();
+        let happenings = self.system.borrow_mut().take_happenings();
+        for happening in happenings {
+            let kind = match happening.kind {
+                HappeningKind::Pin(port, number, level) => {
+                    let pin = Pin { port: char::from(b'A' + port), number };
+                    ObservationKind::Pin { pin, level, instructions: happening.instructions }
+                }
+                HappeningKind::NotModelled { access, address, pc } => {
+                    ObservationKind::NotModelled { access, address, place: self.place(pc) }
+                }
+                HappeningKind::NotClocked { access, address, pc } => {
+                    ObservationKind::NotClocked { access, address, place: self.place(pc) }
+                }
+            };
+            self.seen.push((happening.at, kind));
+        }
+        let mut seen = std::mem::take(&mut self.seen);
+        seen.sort_by_key(|(at, _)| *at);
+        seen
+    }
+
+    /// The node says something about itself.
+    pub(crate) fn note(&mut self, at: VirtualInstant, kind: ObservationKind) {
+        self.seen.push((at, kind));
+    }
+
+    fn collect_hits(&mut self) {
+        for hit in self.pace.take_hits() {
+            let at = self.system.borrow().timebase.instant(hit.cycle);
+            let place = self.place(hit.pc);
+            self.seen.push((at, ObservationKind::Reached { place, instructions: hit.instructions }));
+        }
+    }
+
+    /// Reads the RTT channels.
+    pub(crate) fn drain(&mut self) {
+        let now = self.system.borrow().now();
+        self.drained_at = now;
+        let Some(rtt) = &mut self.rtt else { return };
+        // Buffers outside of memory are a damaged control block; nothing can be read then.
+        let chunks = rtt.drain(self.cpu.as_mut()).unwrap_or_default();
+        for chunk in chunks {
+            let channel = rtt.name(chunk.channel);
+            match &self.image.defmt {
+                Some(table) if channel == DEFMT_CHANNEL => {
+                    let lines = self.log.decode(table, &chunk.bytes);
+                    self.seen.extend(lines.into_iter().map(|line| (now, ObservationKind::Log(line))));
+                }
+                _ => {
+                    let channel = channel.to_owned();
+                    self.seen.push((now, ObservationKind::Record { channel, bytes: chunk.bytes }));
+                }
+            }
+        }
+    }
+
+    fn place(&self, pc: u32) -> Place {
+        Place { pc, symbol: self.image.symbol(pc) }
+    }
+}
+
+const DEFMT_CHANNEL: &str = "defmt";
+
+/// A frame is received at the end of its last bit but one.
+fn start_of(frame: &WireFrame, received_at: VirtualInstant, bit_time: Duration) -> VirtualInstant {
+    let length = bit_time.as_ticks() * u64::from(frame.bit_count() - 1);
+    VirtualInstant::from_ticks(received_at.as_ticks().saturating_sub(length))
+}
+
+type Hardware = (Box<dyn Cpu>, Rc<Pace>, Rc<RefCell<System>>);
+
+/// A part as it comes out of reset at `at`.
+fn power_on(config: &NodeConfig, image: &Image, at: VirtualInstant) -> Result<Hardware, LoadError> {
+    let pace = Rc::new(Pace::default());
+    let system = System::new(&pace, at, config.clock_error, config.crystal.to_Hz());
+    let system = Rc::new(RefCell::new(system));
+    let io: Rc<RefCell<dyn Io>> = system.clone();
+    let system_memory = memory::system_memory(config.unique_id);
+    let rom = [
+        (memory::FLASH, image.flash.as_slice()),
+        (memory::BOOT_ALIAS, image.flash.as_slice()),
+        (memory::SYSTEM, system_memory.as_slice()),
+    ];
+    let refused =
+        |reason: &dyn core::fmt::Debug| LoadError::Emulator { file: image.file.clone(), reason: format!("{reason:?}") };
+    let mut cpu = UnicornCpu::new(&rom, &[memory::RAM, memory::CCM], &memory::IO, &io, &pace)
+        .map_err(|error| refused(&error))?;
+    for (address, bytes) in &image.ram {
+        cpu.write_memory(*address, bytes).map_err(|error| refused(&error))?;
+    }
+    let stack = cpu.read_word(memory::FLASH.base).map_err(|error| refused(&error))?;
+    let reset = cpu.read_word(memory::FLASH.base + 4).map_err(|error| refused(&error))?;
+    cpu.set_register(Register::Msp, stack);
+    cpu.set_register(Register::Lr, u32::MAX);
+    cpu.set_register(Register::Pc, reset);
+    Ok((Box::new(cpu), pace, system))
+}

@@ -1,0 +1,393 @@
+//! The parts of an STM32F405 around the core: address map, clocks, peripherals, interrupt lines.
+//!
+//! All of it counts in HCLK cycles. What a peripheral does by itself between two accesses is computed
+//! when it is next looked at ([`System::advance`]); [`System::deadline`] says when that must be.
+//!
+//! Whatever the firmware accesses that is not modelled is reported, with a list of known exceptions:
+//! [`Storage`].
+
+pub(crate) mod can;
+mod gpio;
+mod nvic;
+mod rcc;
+mod storage;
+mod system_control;
+mod timer;
+
+use std::collections::BTreeSet;
+use std::rc::Rc;
+
+use crate::clock::{ClockError, Timebase};
+use crate::cpu::{Access, Io, Pace};
+use can::BxCan;
+use cosmic_bus::VirtualInstant;
+use gpio::Port;
+pub(crate) use nvic::{Masks, Nvic, number};
+use rcc::Rcc;
+use storage::Storage;
+use system_control::{Effect, SystemControl};
+use timer::Timer;
+
+const PERIPHERALS: u32 = 0x4000_0000;
+const BIT_BAND: u32 = 0x4200_0000;
+const PRIVATE: u32 = 0xE000_0000;
+/// Interrupts of TIM2 to TIM5 (RM0090, table 62).
+const TIMER_INTERRUPTS: [u16; 4] = [28, 29, 30, 50];
+const CAN1: u32 = 0x4000_6400;
+
+/// Something that happened in a node.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Happening {
+    pub(crate) at: VirtualInstant,
+    pub(crate) instructions: u64,
+    pub(crate) kind: HappeningKind,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum HappeningKind {
+    /// An output pin changed: port (0 is A), pin, level.
+    Pin(u8, u8, bool),
+    /// An access to something that is not modelled; reported once for each place in the program.
+    NotModelled { access: Access, address: u32, pc: u32 },
+    /// An access to a peripheral whose clock is off; it has no effect.
+    NotClocked { access: Access, address: u32, pc: u32 },
+}
+
+/// Everything in the part but core and memories.
+pub(crate) struct System {
+    pace: Rc<Pace>,
+    pub(crate) timebase: Timebase,
+    pub(crate) nvic: Nvic,
+    pub(crate) control: SystemControl,
+    pub(crate) can: BxCan,
+    rcc: Rcc,
+    timers: [Timer; 4],
+    ports: [Port; 9],
+    storage: Storage,
+    happenings: Vec<Happening>,
+    /// Accesses that were reported: write, address, PC.
+    reported: BTreeSet<(bool, u32, u32)>,
+    /// The firmware asked for a system reset.
+    pub(crate) reset_requested: bool,
+    /// HCLK has changed, so the horizon is at another cycle.
+    clock_changed: bool,
+    /// The end of the present run, before which the node need not stop for others.
+    horizon: u64,
+}
+
+impl System {
+    /// After power-on at `start`.
+    pub(crate) fn new(pace: &Rc<Pace>, start: VirtualInstant, error: ClockError, hse_hertz: u32) -> Self {
+        let rcc = Rcc::new(hse_hertz);
+        Self {
+            pace: Rc::clone(pace),
+            timebase: Timebase::new(start, rcc.clocks().hclk_hertz, error),
+            nvic: Nvic::new(),
+            control: SystemControl::new(),
+            can: BxCan::new(),
+            rcc,
+            timers: [u32::MAX, 0xFFFF, 0xFFFF, u32::MAX].map(Timer::new),
+            ports: core::array::from_fn(|port| match port {
+                0 => Port::new(0xA800_0000, 0x6400_0000),
+                1 => Port::new(0x0000_0280, 0x0000_0100),
+                _ => Port::new(0, 0),
+            }),
+            storage: Storage::new(),
+            happenings: Vec::new(),
+            reported: BTreeSet::new(),
+            reset_requested: false,
+            clock_changed: false,
+            horizon: 0,
+        }
+    }
+
+    /// Present time.
+    pub(crate) fn now(&self) -> VirtualInstant {
+        self.timebase.instant(self.pace.cycle())
+    }
+
+    /// The bit rate that the firmware set in CAN1, in bits per second, rounded.
+    pub(crate) fn can_bits_per_second(&self) -> u32 {
+        let clocks = self.rcc.clocks();
+        clocks.hclk_hertz / clocks.apb1_divider / self.can.bit_timing().periods
+    }
+
+    /// What happened since the last call.
+    pub(crate) fn take_happenings(&mut self) -> Vec<Happening> {
+        std::mem::take(&mut self.happenings)
+    }
+
+    /// Brings all peripherals up to the present, and their interrupts into the NVIC.
+    pub(crate) fn advance(&mut self) {
+        let now = self.pace.cycle();
+        for timer in &mut self.timers {
+            timer.advance(now);
+        }
+        self.can.advance(now);
+        if self.control.advance(now) {
+            self.nvic.pend(number::SYS_TICK);
+        }
+        self.update_lines();
+    }
+
+    /// The cycle at which a peripheral acts next by itself.
+    pub(crate) fn deadline(&self) -> Option<u64> {
+        let timers = self.timers.iter().filter_map(Timer::deadline);
+        timers.chain(self.can.deadline()).chain(self.control.deadline()).min()
+    }
+
+    /// The core is to run until `horizon` at most. Sets the limit of the pace.
+    pub(crate) fn set_horizon(&mut self, horizon: u64) {
+        self.horizon = horizon;
+        self.clock_changed = false;
+        self.update_limit();
+    }
+
+    /// Must the node stop because others have to act first?
+    pub(crate) fn must_stop(&self) -> bool {
+        self.can.waits_for_bus() || self.reset_requested
+    }
+
+    fn update_limit(&self) {
+        self.pace.set_limit(self.deadline().map_or(self.horizon, |deadline| deadline.min(self.horizon)));
+    }
+
+    pub(crate) fn update_lines(&mut self) {
+        for (timer, interrupt) in self.timers.iter().zip(TIMER_INTERRUPTS) {
+            self.nvic.set_line(interrupt, timer.interrupt());
+        }
+        for (asserted, interrupt) in self.can.interrupts().into_iter().zip(can::INTERRUPTS) {
+            self.nvic.set_line(interrupt, asserted);
+        }
+    }
+
+    /// After a write: new deadlines, and a stop if the run loop has something to do.
+    fn settle(&mut self) {
+        self.update_lines();
+        self.update_limit();
+        if self.nvic.any_pending() || self.must_stop() || self.clock_changed {
+            self.pace.stop_soon();
+        }
+    }
+
+    fn read_word(&mut self, address: u32) -> Option<u32> {
+        let offset = address & 0x3FF;
+        match address {
+            0xE000_E100..=0xE000_E4FF => self.nvic.read(address - 0xE000_E000),
+            _ if Storage::keeps(address) => self.storage.read(address),
+            PRIVATE..=u32::MAX => self.control.read(self.pace.cycle(), address - PRIVATE, &self.nvic),
+            0x4000_0000..=0x4000_0FFF => self.timers[timer_at(address)].read(offset),
+            CAN1..=0x4000_67FF => self.can.read(offset),
+            0x4002_0000..=0x4002_23FF => self.ports[port_at(address)].read(offset),
+            0x4002_3800..=0x4002_3BFF => self.rcc.read(offset),
+            _ => None,
+        }
+    }
+
+    /// Writes the bytes in `lanes` of a register. `Err` if it is not modelled.
+    fn write_word(&mut self, address: u32, value: u32, lanes: u32) -> Result<(), ()> {
+        let (now, offset) = (self.pace.cycle(), address & 0x3FF);
+        match address {
+            0xE000_E100..=0xE000_E4FF | 0xE000_EF00 => {
+                self.nvic.write(address - 0xE000_E000, value, lanes).ok_or(())
+            }
+            _ if Storage::keeps(address) => self.storage.write(address, value),
+            PRIVATE..=u32::MAX => {
+                match self.control.write(now, address - PRIVATE, value, lanes, &mut self.nvic) {
+                    Effect::Stored => Ok(()),
+                    Effect::NotModelled => Err(()),
+                    Effect::Reset => {
+                        self.reset_requested = true;
+                        Ok(())
+                    }
+                }
+            }
+            0x4000_0000..=0x4000_0FFF => {
+                self.timers[timer_at(address)].write(now, offset, value).map_err(|_| ())
+            }
+            CAN1..=0x4000_67FF => self.can.write(now, offset, value).map_err(|_| ()),
+            0x4002_0000..=0x4002_23FF => self.write_port(port_at(address), offset, value),
+            0x4002_3800..=0x4002_3BFF => self.write_rcc(offset, value),
+            _ => Err(()),
+        }
+    }
+
+    fn write_port(&mut self, port: usize, offset: u32, value: u32) -> Result<(), ()> {
+        let edges = self.ports[port].write(offset, value).ok_or(())?;
+        for pin in (0..16).filter(|pin| edges.pins >> pin & 1 != 0) {
+            self.happen(HappeningKind::Pin(port as u8, pin, edges.levels >> pin & 1 != 0));
+        }
+        Ok(())
+    }
+
+    fn write_rcc(&mut self, offset: u32, value: u32) -> Result<(), ()> {
+        let (now, before) = (self.pace.cycle(), self.rcc.clocks());
+        self.rcc.write(offset, value).ok_or(())?;
+        let clocks = self.rcc.clocks();
+        if clocks.hclk_hertz != before.hclk_hertz {
+            self.timebase.change_frequency(now, clocks.hclk_hertz);
+            self.clock_changed = true;
+        }
+        for (n, timer) in self.timers.iter_mut().enumerate() {
+            timer.set_input_period(now, clocks.timer_divider.into());
+            if self.rcc.is_in_reset(PERIPHERALS + 0x400 * n as u32) {
+                timer.reset();
+            }
+        }
+        self.can.set_clock_period(clocks.apb1_divider.into());
+        if self.rcc.is_in_reset(CAN1) {
+            self.can.reset(now);
+        }
+        Ok(())
+    }
+
+    fn happen(&mut self, kind: HappeningKind) {
+        let (at, instructions) = (self.now(), self.pace.instructions());
+        self.happenings.push(Happening { at, instructions, kind });
+    }
+
+    /// Reports an access, once for each instruction that makes it.
+    fn report(&mut self, access: Access, address: u32, kind: fn(Access, u32, u32) -> HappeningKind) {
+        let pc = self.pace.pc();
+        if self.reported.insert((access == Access::Write, address, pc)) {
+            self.happen(kind(access, address, pc));
+        }
+    }
+
+    fn report_not_modelled(&mut self, access: Access, address: u32) {
+        self.report(access, address, |access, address, pc| HappeningKind::NotModelled { access, address, pc });
+    }
+
+    /// Reads a word, or reports that it cannot be read.
+    fn load(&mut self, address: u32) -> u32 {
+        self.advance();
+        if !self.rcc.is_clocked(address) {
+            self.report(Access::Read, address, |access, address, pc| HappeningKind::NotClocked {
+                access,
+                address,
+                pc,
+            });
+            return 0;
+        }
+        self.read_word(address).unwrap_or_else(|| {
+            self.report_not_modelled(Access::Read, address);
+            0
+        })
+    }
+
+    fn store(&mut self, address: u32, value: u32, lanes: u32) {
+        self.advance();
+        if !self.rcc.is_clocked(address) {
+            self.report(Access::Write, address, |access, address, pc| HappeningKind::NotClocked {
+                access,
+                address,
+                pc,
+            });
+            return;
+        }
+        if self.write_word(address, value, lanes).is_err() {
+            self.report_not_modelled(Access::Write, address);
+        }
+        self.settle();
+    }
+}
+
+impl Io for System {
+    fn read(&mut self, address: u32, size: usize) -> u32 {
+        if let Some((word, bit)) = bit_band(address) {
+            return self.load(word) >> bit & 1;
+        }
+        let shift = 8 * (address & 3);
+        self.load(address & !3) >> shift & mask(size)
+    }
+
+    fn write(&mut self, address: u32, size: usize, value: u32) {
+        if let Some((word, bit)) = bit_band(address) {
+            let others = self.load(word) & !(1 << bit);
+            self.store(word, others | (value & 1) << bit, u32::MAX);
+            return;
+        }
+        let (word, shift) = (address & !3, 8 * (address & 3));
+        let lanes = mask(size) << shift;
+        let value = value << shift & lanes;
+        // The NVIC knows byte accesses; elsewhere the other bytes are written back as they read, except
+        // where writing has an effect of its own: those registers read as 0 (BSRR, EGR).
+        let others = if lanes == u32::MAX || address >= PRIVATE { 0 } else { self.load(word) & !lanes };
+        self.store(word, others | value, lanes);
+    }
+}
+
+/// The word and bit behind an address of the bit-band alias.
+fn bit_band(address: u32) -> Option<(u32, u32)> {
+    let offset = address.checked_sub(BIT_BAND).filter(|offset| *offset < 0x0200_0000)?;
+    let bit = offset / 4;
+    Some((PERIPHERALS + bit / 32 * 4, bit % 32))
+}
+
+const fn mask(size: usize) -> u32 {
+    match size {
+        1 => 0xFF,
+        2 => 0xFFFF,
+        _ => u32::MAX,
+    }
+}
+
+const fn timer_at(address: u32) -> usize {
+    (address - PERIPHERALS) as usize / 0x400 % 4
+}
+
+const fn port_at(address: u32) -> usize {
+    (address - 0x4002_0000) as usize / 0x400 % 9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn system() -> System {
+        let pace = Rc::new(Pace::default());
+        System::new(&pace, VirtualInstant::from_ticks(0), ClockError::ZERO, 8_000_000)
+    }
+
+    #[test]
+    fn the_bit_band_alias_reaches_single_bits() {
+        let mut system = system();
+        // RCC.AHB1ENR bit 3, then GPIOD.ODR bit 5 in output mode.
+        system.write(0x4200_0000 + 0x2_3830 * 32 + 3 * 4, 4, 1);
+        assert_eq!(system.read(0x4002_3830, 4), 0x0010_0008);
+        system.write(0x4002_0C00, 4, 1 << 10);
+        system.write(0x4200_0000 + 0x2_0C14 * 32 + 5 * 4, 4, 1);
+        let kinds: Vec<_> = system.take_happenings().iter().map(|happening| happening.kind).collect();
+        assert_eq!(kinds, [HappeningKind::Pin(3, 5, true)]);
+    }
+
+    #[test]
+    fn what_is_not_modelled_or_not_clocked_is_reported_once() {
+        let mut system = system();
+        for _ in 0..2 {
+            system.write(0x4000_4400, 4, 1); // USART2
+            system.read(0x4000_6404, 4); // CAN1 without clock
+        }
+        let kinds: Vec<_> = system.take_happenings().iter().map(|happening| happening.kind).collect();
+        let (write, read) = (Access::Write, Access::Read);
+        assert_eq!(
+            kinds,
+            [
+                HappeningKind::NotModelled { access: write, address: 0x4000_4400, pc: 0 },
+                HappeningKind::NotClocked { access: read, address: 0x4000_6404, pc: 0 },
+            ]
+        );
+    }
+
+    #[test]
+    fn bytes_and_halfwords_reach_their_part_of_a_word() {
+        let mut system = system();
+        system.write(0xE000_E400 + 28, 1, 0x50);
+        system.write(0xE000_E400 + 29, 1, 0x60);
+        assert_eq!(system.read(0xE000_E400 + 28, 4), 0x6050);
+        assert_eq!(system.read(0xE000_E400 + 29, 1), 0x60);
+        system.write(0x4002_3830, 1, 1);
+        system.write(0x4002_0000 + 0x22, 2, 0x1234);
+        assert_eq!(system.read(0x4002_0020, 4), 0x1234_0000);
+    }
+}

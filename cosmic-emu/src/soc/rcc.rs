@@ -1,0 +1,168 @@
+//! Reset and clock control (RM0090, chapter 7): oscillators are ready at once, the PLL is computed, the
+//! prescalers give the clocks of CPU and timers, and an access to a peripheral without clock is found out.
+
+/// The internal oscillator.
+const HSI_HERTZ: u32 = 16_000_000;
+
+/// Registers up to DCKCFGR.
+const WORDS: usize = 0x90 / 4;
+
+mod register {
+    pub(super) const CR: usize = 0x00 / 4;
+    pub(super) const PLLCFGR: usize = 0x04 / 4;
+    pub(super) const CFGR: usize = 0x08 / 4;
+    pub(super) const CIR: usize = 0x0C / 4;
+    pub(super) const AHB1RSTR: usize = 0x10 / 4;
+    pub(super) const APB1RSTR: usize = 0x20 / 4;
+    pub(super) const APB2RSTR: usize = 0x24 / 4;
+    pub(super) const AHB1ENR: usize = 0x30 / 4;
+    pub(super) const BDCR: usize = 0x70 / 4;
+    pub(super) const CSR: usize = 0x74 / 4;
+}
+
+/// The clocks that follow from the registers.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Clocks {
+    /// CPU and AHB.
+    pub(crate) hclk_hertz: u32,
+    /// HCLK cycles of one period of PCLK1.
+    pub(crate) apb1_divider: u32,
+    /// HCLK cycles of one period of the timers on APB1: twice PCLK1, unless that is undivided.
+    pub(crate) timer_divider: u32,
+}
+
+/// Reset and clock control.
+#[derive(Clone, Debug)]
+pub(crate) struct Rcc {
+    words: [u32; WORDS],
+    hse_hertz: u32,
+}
+
+impl Rcc {
+    /// After power-on, with a crystal of this frequency on the board.
+    pub(crate) const fn new(hse_hertz: u32) -> Self {
+        let mut words = [0; WORDS];
+        words[register::CR] = 0x0000_0083;
+        words[register::PLLCFGR] = 0x2400_3010;
+        words[register::AHB1ENR] = 0x0010_0000;
+        // Power-on and pin reset flags.
+        words[register::CSR] = 0x0E00_0000;
+        Self { words, hse_hertz }
+    }
+
+    pub(crate) fn read(&self, offset: u32) -> Option<u32> {
+        self.words.get(offset as usize / 4).copied()
+    }
+
+    /// Writes a register. `None` if there is none.
+    pub(crate) fn write(&mut self, offset: u32, value: u32) -> Option<()> {
+        let index = offset as usize / 4;
+        let slot = self.words.get_mut(index)?;
+        *slot = match index {
+            // Each ON bit is followed by its RDY bit: HSI, HSE, PLL, PLLI2S.
+            register::CR => value & !0x0A02_0002 | (value & 0x0501_0001) << 1,
+            // SWS follows SW.
+            register::CFGR => value & !0xC | (value & 0x3) << 2,
+            register::CIR => value & 0x3F00,
+            register::BDCR | register::CSR => value & !0x2 | (value & 1) << 1,
+            _ => value,
+        };
+        Some(())
+    }
+
+    /// The clocks as set now.
+    pub(crate) fn clocks(&self) -> Clocks {
+        let cfgr = self.words[register::CFGR];
+        let sysclk = match cfgr >> 2 & 3 {
+            0 => HSI_HERTZ,
+            1 => self.hse_hertz,
+            _ => self.pll_hertz(),
+        };
+        let hpre = match cfgr >> 4 & 0xF {
+            code @ 8..=11 => 2 << (code - 8),
+            code @ 12..=15 => 64 << (code - 12),
+            _ => 1,
+        };
+        let apb1_divider = match cfgr >> 10 & 7 {
+            code @ 4..=7 => 2 << (code - 4),
+            _ => 1,
+        };
+        // The timebase divides by it; a PLL that is set to nonsense stands still in reality.
+        let hclk_hertz = (sysclk / hpre).max(1);
+        Clocks { hclk_hertz, apb1_divider, timer_divider: if apb1_divider == 1 { 1 } else { apb1_divider / 2 } }
+    }
+
+    fn pll_hertz(&self) -> u32 {
+        let pll = self.words[register::PLLCFGR];
+        let source = if pll & 1 << 22 != 0 { self.hse_hertz } else { HSI_HERTZ };
+        let (m, n, p) = (pll & 0x3F, pll >> 6 & 0x1FF, ((pll >> 16 & 3) + 1) * 2);
+        if m == 0 {
+            return 0;
+        }
+        u32::try_from(u64::from(source) * u64::from(n) / u64::from(m) / u64::from(p)).unwrap_or(0)
+    }
+
+    /// Has the peripheral at this address its clock? Those without an enable bit always have.
+    pub(crate) fn is_clocked(&self, address: u32) -> bool {
+        match gate(address) {
+            Some((bus, bit)) => self.words[register::AHB1ENR + bus] >> bit & 1 != 0,
+            None => true,
+        }
+    }
+
+    /// Is the peripheral at this address held in reset?
+    pub(crate) fn is_in_reset(&self, address: u32) -> bool {
+        match gate(address) {
+            Some((bus, bit)) => self.words[register::AHB1RSTR + bus] >> bit & 1 != 0,
+            None => false,
+        }
+    }
+}
+
+/// Enable and reset bit of the peripheral at an address, as register index from AHB1's and bit.
+fn gate(address: u32) -> Option<(usize, u32)> {
+    const APB1: usize = register::APB1RSTR - register::AHB1RSTR;
+    const APB2: usize = register::APB2RSTR - register::AHB1RSTR;
+    Some(match address {
+        0x4002_0000..=0x4002_23FF => (0, (address - 0x4002_0000) / 0x400),
+        // TIM2 to TIM14, in the order of their addresses.
+        0x4000_0000..=0x4000_23FF => (APB1, (address - 0x4000_0000) / 0x400),
+        0x4000_6400..=0x4000_67FF => (APB1, 25),
+        0x4000_6800..=0x4000_6BFF => (APB1, 26),
+        0x4000_7000..=0x4000_73FF => (APB1, 28),
+        0x4001_3800..=0x4001_3BFF => (APB2, 14),
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_usual_clock_tree_of_an_f405() {
+        let mut rcc = Rcc::new(8_000_000);
+        let reset = Clocks { hclk_hertz: HSI_HERTZ, apb1_divider: 1, timer_divider: 1 };
+        assert_eq!(rcc.clocks(), reset);
+        rcc.write(0x00, 0x0101_0083).unwrap();
+        assert_eq!(rcc.read(0x00), Some(0x0303_0083));
+        // M 4, N 168, P 2, source HSE; PPRE1 4, PPRE2 2; SW PLL.
+        rcc.write(0x04, 1 << 22 | 168 << 6 | 4).unwrap();
+        rcc.write(0x08, 4 << 13 | 5 << 10 | 2).unwrap();
+        let fast = Clocks { hclk_hertz: 168_000_000, apb1_divider: 4, timer_divider: 2 };
+        assert_eq!(rcc.clocks(), fast);
+        assert_eq!(rcc.read(0x08).map(|cfgr| cfgr >> 2 & 3), Some(2));
+    }
+
+    #[test]
+    fn clock_gates() {
+        let mut rcc = Rcc::new(8_000_000);
+        assert!(!rcc.is_clocked(0x4000_6400));
+        rcc.write(0x40, 1 << 25).unwrap();
+        assert!(rcc.is_clocked(0x4000_6400));
+        rcc.write(0x20, 1).unwrap();
+        assert!(rcc.is_in_reset(0x4000_0024));
+        assert!(rcc.is_clocked(0x4002_3C00));
+        assert_eq!(rcc.read(0x400), None);
+    }
+}
