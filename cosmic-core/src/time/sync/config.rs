@@ -91,8 +91,13 @@ impl SyncConfig {
     /// A master continues a time scale if it knows its rate this well until the end of the handover.
     /// Four periods of observation suffice.
     pub(super) const fn takeover_rate_error(&self) -> i32 {
-        let observed = ((2 * self.stamp_error.as_ticks()) << 32) / (4 * self.period.as_ticks()).max(1);
-        observed as i32 + self.max_rate_change.over(self.periods(8 + 5 + Self::HOLDOVER_PERIODS + 1))
+        // A period of zero is refused elsewhere.
+        let observed = match ((2 * self.stamp_error.as_ticks()) << 32).checked_div(4 * self.period.as_ticks())
+        {
+            Some(fraction) => fraction as i32,
+            None => Rate::LIMIT.fraction(),
+        };
+        observed + self.max_rate_change.over(self.periods(8 + 5 + Self::HOLDOVER_PERIODS + 1))
     }
 
     /// A master that is silent for this long is lost.
