@@ -395,6 +395,9 @@ impl<
             }
             Request::Inhibit(inhibited) => {
                 hard.with(|buffers| buffers.inhibit(inhibited));
+                if inhibited {
+                    self.raise(None, ExceptionKind::CalendarMismatch, now);
+                }
                 Ok(None)
             }
             Request::TxNode(tx_node) => {
@@ -478,6 +481,9 @@ impl<
         hard: &mut impl HardAccess<SLOTS>,
     ) -> Result<Option<BufferId>, AnnounceError> {
         let Attributes::Hard(attributes) = declared.attributes else { return Ok(None) };
+        if role.publishes && self.tx_node.is_none() {
+            return Err(AnnounceError::NoTxNode);
+        }
         let fits = |slot: &&Slot| {
             Some(slot.etag) == declared.etag
                 && slot.period == attributes.period

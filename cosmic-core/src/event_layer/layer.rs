@@ -26,6 +26,9 @@ pub enum AnnounceError {
     Contradiction,
     /// Another channel of this node has this etag.
     EtagInUse,
+    /// The node has no TxNode. A publisher of hard real-time events needs a fixed one, since the calendar
+    /// names it.
+    NoTxNode,
     /// The calendar has no slot of this node with the etag, period and omission degree.
     NotInCalendar,
     /// The node takes part in as many slots as it has room for: make `SLOTS` larger.
