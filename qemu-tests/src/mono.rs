@@ -120,7 +120,7 @@ impl TimerQueueBackend for Backend {
 }
 
 /// Ends a test that has lost its way: a program that sleeps for ever would otherwise run for ever. In
-/// an idle machine virtual time leaps, so this takes seconds of the host.
+/// an idle machine virtual time leaps, so the host does not wait for it.
 const LONGEST_TEST_PERIODS: u32 = 100;
 
 const NANOSECONDS_PER_TICK: u64 = 1_000_000_000 / SYSTEM_CLOCK_HZ as u64;
