@@ -1,1 +1,22 @@
-//! (being built)
+//! Planner and schedulability analysis for COSMIC segments.
+//!
+//! An engineer writes down the nodes and event channels of a segment in one TOML file
+//! ([`cluster`]). This crate finds a calendar for the hard real-time channels ([`plan`]), proves the
+//! timing of everything else beside it ([`analysis`]), checks the result again from the definitions
+//! ([`verify`]) and writes what the firmware and other tools need ([`output`]).
+//!
+//! ```
+//! let source = cosmic_plan::document::Source::new("example.toml", cosmic_plan::cluster::EXAMPLE);
+//! let cluster = cosmic_plan::cluster::Cluster::read(&source).expect("the example is well formed");
+//! let plan = cosmic_plan::plan::plan(&cluster, &cosmic_plan::plan::Effort::default()).expect("it fits");
+//! assert_eq!(plan.slots().len(), 1);
+//! ```
+#![forbid(unsafe_code)]
+
+pub mod analysis;
+pub mod cluster;
+pub mod document;
+pub mod output;
+pub mod plan;
+pub mod units;
+pub mod verify;

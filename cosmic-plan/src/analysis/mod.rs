@@ -1,0 +1,3 @@
+//! Schedulability analysis.
+
+pub mod errors;

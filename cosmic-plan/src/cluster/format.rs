@@ -1,0 +1,339 @@
+//! What a cluster file may say.
+//!
+//! The structures here are the file's tables, field by field; the JSON schema for editors
+//! ([`schema`]) is made from them, so their documentation is the format's documentation. Their
+//! fields are optional where a mistake can leave them out; what must be there is marked `required`.
+
+use super::values::{BindingName, ClassName, Name, PositiveSpan, Rate, Span, Uid};
+use crate::document::{At, Log, Node, Place, Source, Table};
+use schemars::JsonSchema;
+
+/// A COSMIC segment: its nodes, event channels and foreign frames.
+#[derive(JsonSchema, Debug)]
+#[schemars(title = "COSMIC segment", deny_unknown_fields)]
+pub struct ClusterFile {
+    /// What holds for the whole segment.
+    pub segment: SegmentTable,
+    /// The faults under which the bounds of soft and non real-time channels hold. Without this table:
+    /// no faults. Hard real-time channels have their omission degree instead.
+    pub errors: Option<ErrorsTable>,
+    /// The nodes.
+    pub node: Vec<NodeTable>,
+    /// The event channels.
+    pub channel: Vec<ChannelTable>,
+    /// Frames on the bus that are not COSMIC's.
+    #[schemars(default)]
+    pub foreign: Vec<ForeignTable>,
+    /// Groups of hard real-time channels that share one fault budget.
+    #[schemars(default)]
+    pub pool: Vec<PoolTable>,
+}
+
+/// What holds for the whole segment.
+#[derive(JsonSchema, Debug)]
+#[schemars(deny_unknown_fields)]
+pub struct SegmentTable {
+    /// What the segment is called.
+    #[schemars(required)]
+    pub name: Option<At<Name>>,
+    /// The bit rate of the bus.
+    #[schemars(required)]
+    pub bit_rate: Option<At<Rate>>,
+    /// ε: how far any node's clock may be from global time.
+    #[schemars(required)]
+    pub clock_accuracy: Option<At<Span>>,
+    /// How late a node may act on an instant that has come.
+    #[schemars(required)]
+    pub release_jitter: Option<At<Span>>,
+    /// How etags of soft and non real-time channels are found; "static" if not given.
+    pub binding: Option<At<BindingName>>,
+    /// How often the clock master sends sync and follow-up; "100 ms" if not given, "0 s" for never.
+    pub sync_period: Option<At<Span>>,
+    /// Δt_p: the span of deadlines that one priority stands for; the longest frame (160 bit times) if
+    /// not given.
+    pub priority_step: Option<At<PositiveSpan>>,
+}
+
+/// Faults: either `burst` and `interval`, or `count` and `window`.
+#[derive(JsonSchema, Debug)]
+#[schemars(deny_unknown_fields)]
+pub struct ErrorsTable {
+    /// So many faults at once, then one every `interval`.
+    pub burst: Option<At<u32>>,
+    /// The distance of two faults after the burst.
+    pub interval: Option<At<PositiveSpan>>,
+    /// At most so many faults in any `window`.
+    pub count: Option<At<u32>>,
+    /// The window that `count` is about.
+    pub window: Option<At<PositiveSpan>>,
+    /// Where the table stands.
+    #[schemars(skip)]
+    pub place: Place,
+}
+
+/// A node.
+#[derive(JsonSchema, Debug)]
+#[schemars(deny_unknown_fields)]
+pub struct NodeTable {
+    /// Its name.
+    #[schemars(required)]
+    pub name: Option<At<Name>>,
+    /// Its UID, unique in the world.
+    #[schemars(required)]
+    pub uid: Option<At<Uid>>,
+    /// Its short id, 0..=126; counted from 1 in the order of the file if not given.
+    #[schemars(range(min = 0, max = 126))]
+    pub tx_node: Option<At<u8>>,
+    /// The board it runs on.
+    pub board: Option<At<String>>,
+    /// Names of the channels that it publishes.
+    #[schemars(default)]
+    pub publishes: Vec<At<String>>,
+    /// Names of the channels that it subscribes to.
+    #[schemars(default)]
+    pub subscribes: Vec<At<String>>,
+    /// Where the table stands.
+    #[schemars(skip)]
+    pub place: Place,
+}
+
+/// An event channel.
+#[derive(JsonSchema, Debug)]
+#[schemars(deny_unknown_fields)]
+pub struct ChannelTable {
+    /// Its name.
+    #[schemars(required)]
+    pub name: Option<At<Name>>,
+    /// Its subject, unique in the world.
+    #[schemars(required)]
+    pub subject: Option<At<Uid>>,
+    /// Its class.
+    #[schemars(required)]
+    pub class: Option<At<ClassName>>,
+    /// Bytes of an event at most: 0..=8; non real-time up to 1024, in fragments.
+    #[schemars(required, range(min = 0, max = 1024))]
+    pub length: Option<At<u16>>,
+    /// One event in every period. Either this or `min_interarrival`.
+    pub period: Option<At<PositiveSpan>>,
+    /// Events come at least this far apart. Either this or `period`.
+    pub min_interarrival: Option<At<PositiveSpan>>,
+    /// SRT, NRT: how late an event may be published after its nominal instant. HRT: how far the spacing
+    /// of slots may deviate from the period if no calendar exists otherwise. Zero if not given.
+    pub jitter: Option<At<Span>>,
+    /// HRT: delivery at the latest, from the start of each period; the end of the period if not given.
+    /// SRT: from publication; must be given. NRT: optional.
+    pub deadline: Option<At<PositiveSpan>>,
+    /// After this span from its publication an event is worthless and is discarded.
+    pub validity: Option<At<PositiveSpan>>,
+    /// HRT: how many omissions a slot tolerates; 1 if not given.
+    pub omission_degree: Option<At<u8>>,
+    /// HRT: exactly this ready instant, from the start of each period.
+    pub phase: Option<At<Span>>,
+    /// HRT: ready not before this instant of each period.
+    pub earliest: Option<At<Span>>,
+    /// HRT: behind another channel's slot.
+    pub after: Option<AfterTable>,
+    /// NRT: 0 (most important) to 4 (least, the default).
+    #[schemars(range(min = 0, max = 4))]
+    pub importance: Option<At<u8>>,
+    /// The etag; found by itself if not given. HRT: 100..=1023, else 1024..=16383.
+    #[schemars(range(min = 100, max = 16383))]
+    pub etag: Option<At<u16>>,
+    /// Where the table stands.
+    #[schemars(skip)]
+    pub place: Place,
+}
+
+/// "This after that, at most so much later."
+#[derive(JsonSchema, Debug)]
+#[schemars(deny_unknown_fields)]
+pub struct AfterTable {
+    /// The channel that comes first.
+    #[schemars(required)]
+    pub channel: Option<At<String>>,
+    /// From its delivery to this channel's ready instant at most.
+    #[schemars(required)]
+    pub within: Option<At<Span>>,
+}
+
+/// Foreign frames: one by `id`, `length` and `period`, or all messages of a DBC file.
+#[derive(JsonSchema, Debug)]
+#[schemars(deny_unknown_fields)]
+pub struct ForeignTable {
+    /// Its name.
+    pub name: Option<At<String>>,
+    /// Its identifier.
+    pub id: Option<At<u32>>,
+    /// Has it an identifier of 29 bits? By the identifier if not given: above 0x7FF it has.
+    pub extended: Option<At<bool>>,
+    /// Bytes of data.
+    #[schemars(range(min = 0, max = 8))]
+    pub length: Option<At<u8>>,
+    /// Its period or least distance. With `dbc`: of messages without the attribute `GenMsgCycleTime`.
+    pub period: Option<At<PositiveSpan>>,
+    /// How late it may be queued.
+    pub jitter: Option<At<Span>>,
+    /// By when it should be sent.
+    pub deadline: Option<At<PositiveSpan>>,
+    /// A DBC file with the frames, relative to the cluster file.
+    pub dbc: Option<At<String>>,
+    /// Where the table stands.
+    #[schemars(skip)]
+    pub place: Place,
+}
+
+/// Slots that follow each other and share one fault budget.
+#[derive(JsonSchema, Debug)]
+#[schemars(deny_unknown_fields)]
+pub struct PoolTable {
+    /// The channels: hard real-time, of one period, of different publishers.
+    #[schemars(required)]
+    pub channels: Vec<At<String>>,
+    /// How many faults all their slots together tolerate.
+    #[schemars(required)]
+    pub faults: Option<At<u8>>,
+    /// Where the table stands.
+    #[schemars(skip)]
+    pub place: Place,
+}
+
+/// The JSON schema of the file, for editors.
+pub fn schema() -> serde_json::Value {
+    schemars::schema_for!(ClusterFile).to_value()
+}
+
+/// Reads the tables; mismatches are noted in the log.
+pub fn read(source: &Source, log: &Log) -> ClusterFile {
+    let root = Node::parse(source, log);
+    let table = Table::new(&root, "", log);
+    let segment = table.node("segment");
+    if segment.is_none() {
+        table.problem("segment", 0..0, "is missing", "write a table [segment] with name and bit_rate");
+    }
+    let empty = Node { place: 0..0, kind: crate::document::Kind::Table(Vec::new()) };
+    let quiet = Log::default();
+    let file = ClusterFile {
+        segment: match segment {
+            Some(node) => read_segment(&Table::new(node, "segment", log)),
+            None => read_segment(&Table::new(&empty, "segment", &quiet)),
+        },
+        errors: table.node("errors").map(|node| read_errors(&Table::new(node, "errors", log))),
+        node: read_all(&table, "node", log, read_node),
+        channel: read_all(&table, "channel", log, read_channel),
+        foreign: read_all(&table, "foreign", log, read_foreign),
+        pool: read_all(&table, "pool", log, read_pool),
+    };
+    table.finish();
+    file
+}
+
+fn read_all<T>(table: &Table<'_>, field: &'static str, log: &Log, read: fn(&Table<'_>, &Log) -> T) -> Vec<T> {
+    let items = table.nodes(field).unwrap_or_default();
+    let read_one = |(at, item): (usize, &Node)| {
+        let mut table = Table::new(item, format!("{field}[{at}]"), log);
+        // From its second field on an entry is known by its name, if it has one.
+        if let Some(Node { kind: crate::document::Kind::Text(name), .. }) = table.node("name") {
+            table.rename(format!("{field}.{name}"));
+        }
+        read(&table, log)
+    };
+    items.iter().enumerate().map(read_one).collect()
+}
+
+fn read_segment(table: &Table<'_>) -> SegmentTable {
+    let segment = SegmentTable {
+        name: table.required("name", "give the segment a name: name = \"vehicle\""),
+        bit_rate: table.required("bit_rate", "write bit_rate = \"1 Mbit/s\" or slower"),
+        clock_accuracy: table.required("clock_accuracy", "write how far clocks may be off, such as \"5 us\""),
+        release_jitter: table.required("release_jitter", "write how late a node may act, such as \"10 us\""),
+        binding: table.optional("binding"),
+        sync_period: table.optional("sync_period"),
+        priority_step: table.optional("priority_step"),
+    };
+    table.finish();
+    segment
+}
+
+fn read_errors(table: &Table<'_>) -> ErrorsTable {
+    let errors = ErrorsTable {
+        burst: table.optional("burst"),
+        interval: table.optional("interval"),
+        count: table.optional("count"),
+        window: table.optional("window"),
+        place: table.place(),
+    };
+    table.finish();
+    errors
+}
+
+fn read_node(table: &Table<'_>, _: &Log) -> NodeTable {
+    let node = NodeTable {
+        name: table.required("name", "give the node a name: name = \"sensor\""),
+        uid: table.required("uid", "give the node a UID: uid = \"0x1122334455667788\""),
+        tx_node: table.optional("tx_node"),
+        board: table.optional("board"),
+        publishes: table.list("publishes"),
+        subscribes: table.list("subscribes"),
+        place: table.place(),
+    };
+    table.finish();
+    node
+}
+
+fn read_channel(table: &Table<'_>, log: &Log) -> ChannelTable {
+    let channel = ChannelTable {
+        name: table.required("name", "give the channel a name: name = \"wheel_speed\""),
+        subject: table.required("subject", "give the channel a subject: subject = \"0x1122334455667788\""),
+        class: table.required("class", "write class = \"HRT\", \"SRT\" or \"NRT\""),
+        length: table.required("length", "write how many bytes an event has at most: length = 4"),
+        period: table.optional("period"),
+        min_interarrival: table.optional("min_interarrival"),
+        jitter: table.optional("jitter"),
+        deadline: table.optional("deadline"),
+        validity: table.optional("validity"),
+        omission_degree: table.optional("omission_degree"),
+        phase: table.optional("phase"),
+        earliest: table.optional("earliest"),
+        after: table.node("after").map(|node| read_after(&Table::new(node, table.path_of("after"), log))),
+        importance: table.optional("importance"),
+        etag: table.optional("etag"),
+        place: table.place(),
+    };
+    table.finish();
+    channel
+}
+
+fn read_after(table: &Table<'_>) -> AfterTable {
+    let after = AfterTable {
+        channel: table.required("channel", "name the channel that comes first"),
+        within: table.required("within", "write how much later at most: within = \"2 ms\""),
+    };
+    table.finish();
+    after
+}
+
+fn read_foreign(table: &Table<'_>, _: &Log) -> ForeignTable {
+    let foreign = ForeignTable {
+        name: table.optional("name"),
+        id: table.optional("id"),
+        extended: table.optional("extended"),
+        length: table.optional("length"),
+        period: table.optional("period"),
+        jitter: table.optional("jitter"),
+        deadline: table.optional("deadline"),
+        dbc: table.optional("dbc"),
+        place: table.place(),
+    };
+    table.finish();
+    foreign
+}
+
+fn read_pool(table: &Table<'_>, _: &Log) -> PoolTable {
+    let pool = PoolTable {
+        channels: table.list("channels"),
+        faults: table.required("faults", "write how many faults the slots together tolerate: faults = 1"),
+        place: table.place(),
+    };
+    table.finish();
+    pool
+}

@@ -1,0 +1,236 @@
+//! A segment as its engineer describes it: nodes, event channels, foreign frames, faults.
+//!
+//! [`Cluster::read`] turns one TOML file into a value that can only be valid, or into everything that
+//! is wrong with the file. What the file may say is in [`format`]; whether a calendar exists for it is
+//! not asked here.
+
+mod dbc;
+pub mod format;
+mod validate;
+pub mod values;
+
+use crate::analysis::errors::ErrorModel;
+use crate::document::{Problems, Source};
+use cosmic_core::calendar::Segment;
+use cosmic_core::can::{Etag, Priority, TxNode};
+use cosmic_core::time::Duration;
+
+/// The commented example that `cosmic-plan new` writes.
+pub const EXAMPLE: &str = include_str!("../../examples/vehicle.toml");
+
+/// A segment with everything on it.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Cluster {
+    /// What the segment is called.
+    pub name: String,
+    /// Bit rate, clock accuracy and release jitter.
+    pub segment: Segment,
+    /// How etags of soft and non real-time channels are found.
+    pub binding: Binding,
+    /// Δt_p: the span of deadlines that one priority stands for.
+    pub priority_step: Duration,
+    /// How often the clock master sends sync and follow-up; `None` without a clock service.
+    pub sync_period: Option<Duration>,
+    /// The faults under which soft and non real-time bounds hold.
+    pub errors: ErrorModel,
+    /// The nodes, in the order of the file.
+    pub nodes: Vec<Node>,
+    /// The event channels, in the order of the file.
+    pub channels: Vec<Channel>,
+    /// Frames on the bus that are not COSMIC's.
+    pub foreign: Vec<Foreign>,
+    /// Groups of hard real-time channels that share one fault budget.
+    pub pools: Vec<Pool>,
+}
+
+/// How the etags of soft and non real-time channels are found.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Binding {
+    /// They are fixed here, from [`Etag::BOUND_LAST`] down.
+    Static,
+    /// The event channel broker hands them out at run time.
+    Broker,
+}
+
+/// A node.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Node {
+    /// Its name.
+    pub name: String,
+    /// Its 64-bit UID.
+    pub uid: u64,
+    /// Its short id on this segment.
+    pub tx_node: TxNode,
+    /// The board it runs on, if the file says.
+    pub board: Option<String>,
+    /// What it publishes: positions in [`Cluster::channels`].
+    pub publishes: Vec<usize>,
+    /// What it subscribes to: positions in [`Cluster::channels`].
+    pub subscribes: Vec<usize>,
+}
+
+/// How events follow each other.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Recurrence {
+    /// One event in every period.
+    Periodic(Duration),
+    /// Events at least this far apart.
+    Sporadic(Duration),
+}
+
+impl Recurrence {
+    /// The period, or the least distance of two events.
+    pub fn span(self) -> Duration {
+        match self {
+            Self::Periodic(span) | Self::Sporadic(span) => span,
+        }
+    }
+
+    /// The same kind of recurrence with another span.
+    pub fn with_span(self, span: Duration) -> Self {
+        match self {
+            Self::Periodic(_) => Self::Periodic(span),
+            Self::Sporadic(_) => Self::Sporadic(span),
+        }
+    }
+}
+
+/// An event channel.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Channel {
+    /// Its name, for people and for the generated constants.
+    pub name: String,
+    /// Its subject.
+    pub subject: u64,
+    /// Its etag; `None` where the broker will find one.
+    pub etag: Option<Etag>,
+    /// Bytes of an event at most.
+    pub length: u16,
+    /// How events follow each other.
+    pub recurrence: Recurrence,
+    /// Soft and non real-time: how late an event may be published after its nominal instant. Hard
+    /// real-time: how far the spacing of slots may deviate from the period.
+    pub jitter: Duration,
+    /// Hard real-time: delivery at the latest, from the start of each period. Soft: from publication.
+    pub deadline: Option<Duration>,
+    /// After this span an event is worthless and is discarded.
+    pub validity: Option<Duration>,
+    /// The class with what only it has.
+    pub class: Class,
+}
+
+/// The class of a channel.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub enum Class {
+    /// Delivered at its deadline, under up to `omission_degree` faults.
+    Hard {
+        /// How many omissions a slot tolerates.
+        omission_degree: u8,
+        /// Where the slot should be.
+        wishes: Wishes,
+    },
+    /// Earliest deadline first.
+    Soft,
+    /// When the bus is free.
+    NonRealTime {
+        /// 0 (most important) to [`Class::LEAST_IMPORTANT`].
+        importance: u8,
+    },
+}
+
+impl Class {
+    /// The least importance: the priorities behind configuration's are 251..=255.
+    pub const LEAST_IMPORTANT: u8 = Priority::LEAST.get() - Priority::CONFIGURATION.get() - 1;
+
+    /// The priority of non real-time frames of this importance.
+    pub fn priority_of(importance: u8) -> Priority {
+        Priority::new(Priority::CONFIGURATION.get() + 1 + importance.min(Self::LEAST_IMPORTANT))
+    }
+
+    /// The abbreviation that the papers use, without "EC".
+    pub fn abbreviation(&self) -> &'static str {
+        match self {
+            Self::Hard { .. } => "HRT",
+            Self::Soft => "SRT",
+            Self::NonRealTime { .. } => "NRT",
+        }
+    }
+}
+
+/// Where a slot should be.
+#[derive(Clone, PartialEq, Eq, Default, Debug)]
+pub struct Wishes {
+    /// Exactly this ready instant, from the start of each period.
+    pub phase: Option<Duration>,
+    /// Ready not before this instant of each period.
+    pub earliest: Option<Duration>,
+    /// Behind another channel's slot.
+    pub after: Option<After>,
+}
+
+/// "This after that, at most so much later."
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct After {
+    /// Position of the channel that comes first.
+    pub channel: usize,
+    /// From its delivery to this channel's ready instant at most.
+    pub within: Duration,
+}
+
+/// A frame on the bus that is not COSMIC's.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Foreign {
+    /// Its name.
+    pub name: String,
+    /// Its identifier.
+    pub id: u32,
+    /// Has it an identifier of 29 bits?
+    pub extended: bool,
+    /// Bytes of data.
+    pub length: u8,
+    /// Its period or least distance.
+    pub period: Duration,
+    /// How late it may be queued.
+    pub jitter: Duration,
+    /// By when it should be sent, if anybody cares.
+    pub deadline: Option<Duration>,
+}
+
+/// Slots that share one fault budget.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Pool {
+    /// Positions of the channels.
+    pub channels: Vec<usize>,
+    /// How many faults all their slots together tolerate.
+    pub faults: u8,
+}
+
+impl Cluster {
+    /// Reads the description of a segment.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn read(source: &Source) -> Result<Self, Problems> {
+        validate::read(source)
+    }
+
+    /// The nodes that publish a channel.
+    pub fn publishers(&self, channel: usize) -> impl Iterator<Item = &Node> {
+        self.nodes.iter().filter(move |node| node.publishes.contains(&channel))
+    }
+
+    /// The nodes that subscribe to a channel.
+    pub fn subscribers(&self, channel: usize) -> impl Iterator<Item = &Node> {
+        self.nodes.iter().filter(move |node| node.subscribes.contains(&channel))
+    }
+
+    /// The position of the channel of this name.
+    pub fn channel_named(&self, name: &str) -> Option<usize> {
+        self.channels.iter().position(|channel| channel.name == name)
+    }
+
+    /// The pool that a channel's slots belong to.
+    pub fn pool_of(&self, channel: usize) -> Option<usize> {
+        self.pools.iter().position(|pool| pool.channels.contains(&channel))
+    }
+}

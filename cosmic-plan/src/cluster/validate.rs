@@ -1,0 +1,476 @@
+//! From the tables of a file to a cluster that can only be valid.
+
+use super::format::{self, ChannelTable, ClusterFile, ErrorsTable, ForeignTable, NodeTable, SegmentTable};
+use super::values::{BindingName, ClassName};
+use super::{After, Binding, Channel, Class, Cluster, Foreign, Node, Pool, Recurrence, Wishes, dbc};
+use crate::analysis::errors::ErrorModel;
+use crate::document::{At, Log, Place, Problem, Problems, Source, nearest};
+use crate::units::show;
+use cosmic_core::calendar::{Calendar, Segment};
+use cosmic_core::can::{BitRate, Etag, LONGEST_FRAME_BITS, Payload, TxNode};
+use cosmic_core::time::Duration;
+use std::collections::HashMap;
+use std::path::Path;
+
+const ZERO: Duration = Duration::from_ticks(0);
+
+pub(super) fn read(source: &Source) -> Result<Cluster, Problems> {
+    let log = Log::default();
+    let file = format::read(source, &log);
+    let checker = Checker { log: &log };
+    let cluster = checker.cluster(&file, Path::new(source.name()).parent().unwrap_or(Path::new("")));
+    match log.into_problems(source) {
+        Some(problems) => Err(problems),
+        None => Ok(cluster),
+    }
+}
+
+struct Checker<'a> {
+    log: &'a Log,
+}
+
+impl Checker<'_> {
+    fn problem(&self, place: &Place, field: String, what: impl Into<String>, help: impl Into<String>) {
+        self.log.add(Problem { place: Some(place.clone()), field, what: what.into(), help: help.into() });
+    }
+
+    /// Where something is wrong already, defaults stand in; the cluster is then not used.
+    fn cluster(&self, file: &ClusterFile, folder: &Path) -> Cluster {
+        let (segment, priority_step) = self.segment(&file.segment);
+        let names: Vec<&str> = file.channel.iter().map(|c| name_of(&c.name)).collect();
+        let mut channels: Vec<Channel> = file.channel.iter().map(|c| self.channel(c, &names)).collect();
+        let binding = match file.segment.binding.as_ref().map(|at| at.value) {
+            Some(BindingName::Broker) => Binding::Broker,
+            _ => Binding::Static,
+        };
+        self.etags(&file.channel, &mut channels, binding);
+        let nodes = self.nodes(&file.node, &names);
+        let sync_period =
+            file.segment.sync_period.as_ref().map_or(Duration::from_millis(100), |at| at.value.0);
+        self.unique("channel", file.channel.iter().map(|c| (&c.name, &c.place)), |at| at.value.0.clone());
+        let subjects = file.channel.iter().map(|c| (&c.subject, &c.place));
+        self.unique("channel", subjects, |at| format!("subject {:#018x}", at.value.0));
+        let cluster = Cluster {
+            name: name_of(&file.segment.name).to_owned(),
+            segment,
+            binding,
+            priority_step,
+            sync_period: Some(sync_period).filter(|span| !span.is_zero()),
+            errors: file.errors.as_ref().map_or(ErrorModel::None, |errors| self.errors(errors)),
+            nodes,
+            channels,
+            foreign: file.foreign.iter().flat_map(|f| self.foreign(f, folder)).collect(),
+            pools: Vec::new(),
+        };
+        self.use_of_channels(file, &cluster);
+        self.hyperperiod(file, &cluster);
+        let pools = file.pool.iter().map(|pool| self.pool(pool, &cluster)).collect();
+        Cluster { pools, ..cluster }
+    }
+
+    fn segment(&self, table: &SegmentTable) -> (Segment, Duration) {
+        let bit_rate = table.bit_rate.as_ref().map_or(BitRate::MAX, |at| at.value.0);
+        let segment = Segment {
+            bit_rate,
+            accuracy: table.clock_accuracy.as_ref().map_or(ZERO, |at| at.value.0),
+            release_jitter: table.release_jitter.as_ref().map_or(ZERO, |at| at.value.0),
+        };
+        let step = table.priority_step.as_ref().map_or(bit_rate.bits(LONGEST_FRAME_BITS), |at| at.value.0);
+        (segment, step)
+    }
+
+    fn errors(&self, table: &ErrorsTable) -> ErrorModel {
+        match (&table.burst, &table.interval, &table.count, &table.window) {
+            (Some(burst), Some(interval), None, None) => {
+                ErrorModel::Burst { burst: burst.value, interval: interval.value.0 }
+            }
+            (None, None, Some(count), Some(window)) => {
+                ErrorModel::Window { count: count.value, window: window.value.0 }
+            }
+            _ => {
+                let what = "is neither of the two models";
+                let help = "write burst and interval, or count and window";
+                self.problem(&table.place, "errors".to_owned(), what, help);
+                ErrorModel::None
+            }
+        }
+    }
+
+    fn channel(&self, table: &ChannelTable, names: &[&str]) -> Channel {
+        let name = name_of(&table.name);
+        let field = |field: &str| format!("channel.{name}.{field}");
+        let class_name = table.class.as_ref().map_or(ClassName::Soft, |at| at.value);
+        self.fields_of_class(table, class_name);
+        let recurrence = self.recurrence(table, &field);
+        let deadline = table.deadline.as_ref().map(|at| at.value.0);
+        if class_name == ClassName::Soft && table.class.is_some() && deadline.is_none() {
+            let help = "soft real-time channels need one: deadline = \"20 ms\"";
+            self.problem(&start_of(&table.place), field("deadline"), "is missing", help);
+        }
+        let class = match class_name {
+            ClassName::Hard => Class::Hard {
+                omission_degree: table.omission_degree.as_ref().map_or(1, |at| at.value),
+                wishes: self.wishes(table, names, recurrence.span()),
+            },
+            ClassName::Soft => Class::Soft,
+            ClassName::NonRealTime => Class::NonRealTime { importance: self.importance(table, &field) },
+        };
+        let length = table.length.as_ref().map_or(0, |at| at.value);
+        let most = if class_name == ClassName::NonRealTime { LONGEST_EVENT } else { Payload::MAX_LEN as u16 };
+        if let Some(at) = table.length.as_ref().filter(|at| at.value > most) {
+            let help = format!("write at most {most}; longer events (up to {LONGEST_EVENT}) are NRT");
+            self.problem(&at.place, field("length"), format!("{length} bytes are too many"), help);
+        }
+        Channel {
+            name: name.to_owned(),
+            subject: table.subject.as_ref().map_or(1, |at| at.value.0),
+            etag: None,
+            length,
+            recurrence,
+            jitter: table.jitter.as_ref().map_or(ZERO, |at| at.value.0),
+            deadline,
+            validity: table.validity.as_ref().map(|at| at.value.0),
+            class,
+        }
+    }
+
+    fn importance(&self, table: &ChannelTable, field: &dyn Fn(&str) -> String) -> u8 {
+        let Some(at) = &table.importance else { return Class::LEAST_IMPORTANT };
+        if at.value > Class::LEAST_IMPORTANT {
+            let what = format!("{} is above {}", at.value, Class::LEAST_IMPORTANT);
+            let help = format!("write 0 (most important) to {} (least)", Class::LEAST_IMPORTANT);
+            self.problem(&at.place, field("importance"), what, help);
+        }
+        at.value
+    }
+
+    fn recurrence(&self, table: &ChannelTable, field: &dyn Fn(&str) -> String) -> Recurrence {
+        match (&table.period, &table.min_interarrival) {
+            (Some(period), None) => Recurrence::Periodic(period.value.0),
+            (None, Some(distance)) => Recurrence::Sporadic(distance.value.0),
+            (None, None) => {
+                let help = "write period = \"10 ms\", or min_interarrival = \"10 ms\" for sporadic events";
+                self.problem(&start_of(&table.place), field("period"), "is missing", help);
+                Recurrence::Periodic(Duration::from_secs(1))
+            }
+            (Some(period), Some(distance)) => {
+                let what = "stands beside period";
+                let help = "keep one: period for periodic events, min_interarrival for sporadic ones";
+                self.problem(&distance.place, field("min_interarrival"), what, help);
+                Recurrence::Periodic(period.value.0)
+            }
+        }
+    }
+
+    /// Fields that mean nothing in the class, and spans that contradict each other.
+    fn fields_of_class(&self, table: &ChannelTable, class: ClassName) {
+        let name = name_of(&table.name);
+        let hard = [
+            ("omission_degree", table.omission_degree.as_ref().map(|at| &at.place)),
+            ("phase", table.phase.as_ref().map(|at| &at.place)),
+            ("earliest", table.earliest.as_ref().map(|at| &at.place)),
+            ("after", table.after.as_ref().and_then(|after| after.channel.as_ref()).map(|at| &at.place)),
+        ];
+        let important = [("importance", table.importance.as_ref().map(|at| &at.place))];
+        let misplaced = hard.iter().filter(|_| class != ClassName::Hard).map(|field| (field, "HRT"));
+        let other = important.iter().filter(|_| class != ClassName::NonRealTime).map(|field| (field, "NRT"));
+        for (&(field, place), owner) in misplaced.chain(other) {
+            if let (Some(place), true) = (place, table.class.is_some()) {
+                let help = format!("leave it out, or make the channel {owner}");
+                let what = format!("means something for {owner} channels only");
+                self.problem(place, format!("channel.{name}.{field}"), what, help);
+            }
+        }
+        if let (Some(deadline), Some(validity)) = (&table.deadline, &table.validity) {
+            if validity.value.0 < deadline.value.0 {
+                let what = "an event would expire before its deadline";
+                let help = format!("write at least the deadline, {}", show(deadline.value.0));
+                self.problem(&validity.place, format!("channel.{name}.validity"), what, help);
+            }
+        }
+    }
+
+    fn wishes(&self, table: &ChannelTable, names: &[&str], period: Duration) -> Wishes {
+        let name = name_of(&table.name);
+        let within_period = |at: &Option<At<super::values::Span>>, field: &str| {
+            let at = at.as_ref()?;
+            if at.value.0 >= period {
+                let what = format!("{} is not less than the period, {}", show(at.value.0), show(period));
+                let help = "write an instant within the period";
+                self.problem(&at.place, format!("channel.{name}.{field}"), what, help);
+            }
+            Some(at.value.0)
+        };
+        if let Some(at) = table.deadline.as_ref().filter(|at| at.value.0 > period) {
+            let what = format!("{} is longer than the period, {}", show(at.value.0), show(period));
+            let help = "a slot delivers within its period: write at most the period, or leave it out";
+            self.problem(&at.place, format!("channel.{name}.deadline"), what, help);
+        }
+        let after = table.after.as_ref().and_then(|after| {
+            let at = after.channel.as_ref()?;
+            let channel = self.resolve(at, names, format!("channel.{name}.after.channel"))?;
+            if names[channel] == name {
+                let help = "name another channel";
+                self.problem(
+                    &at.place,
+                    format!("channel.{name}.after.channel"),
+                    "is the channel itself",
+                    help,
+                );
+                return None;
+            }
+            Some(After { channel, within: after.within.as_ref()?.value.0 })
+        });
+        Wishes {
+            phase: within_period(&table.phase, "phase"),
+            earliest: within_period(&table.earliest, "earliest"),
+            after,
+        }
+    }
+
+    fn resolve(&self, at: &At<String>, names: &[&str], field: String) -> Option<usize> {
+        let found = names.iter().position(|name| *name == at.value);
+        if found.is_none() {
+            let help = match nearest(&at.value, names.iter().copied()) {
+                Some(name) => format!("did you mean `{name}`?"),
+                None => format!("write a [[channel]] with name = {:?}", at.value),
+            };
+            self.problem(&at.place, field, format!("there is no channel {:?}", at.value), help);
+        }
+        found
+    }
+
+    fn nodes(&self, tables: &[NodeTable], names: &[&str]) -> Vec<Node> {
+        let given: Vec<u8> = tables.iter().filter_map(|t| t.tx_node.as_ref()).map(|at| at.value).collect();
+        let mut free = (1..=TxNode::MAX.get()).filter(|id| !given.contains(id));
+        self.unique("node", tables.iter().map(|t| (&t.name, &t.place)), |at| at.value.0.clone());
+        self.unique("node", tables.iter().map(|t| (&t.uid, &t.place)), |at| {
+            format!("uid {:#018x}", at.value.0)
+        });
+        let ids = tables.iter().map(|t| (&t.tx_node, &t.place));
+        self.unique("node", ids, |at| format!("tx_node {}", at.value));
+        tables.iter().map(|table| self.node(table, names, &mut free)).collect()
+    }
+
+    fn node(&self, table: &NodeTable, names: &[&str], free: &mut dyn Iterator<Item = u8>) -> Node {
+        let name = name_of(&table.name);
+        let given = table.tx_node.as_ref().map(|at| at.value);
+        let tx_node = given.or_else(|| free.next()).and_then(TxNode::new).filter(|id| *id <= TxNode::MAX);
+        if tx_node.is_none() {
+            let place = table.tx_node.as_ref().map_or(start_of(&table.place), |at| at.place.clone());
+            let help = "write a number from 0 to 126 that no other node has";
+            self.problem(&place, format!("node.{name}.tx_node"), "there is no such short id", help);
+        }
+        let resolve = |list: &[At<String>], field: &str| {
+            let path = format!("node.{name}.{field}");
+            list.iter().filter_map(|at| self.resolve(at, names, path.clone())).collect()
+        };
+        Node {
+            name: name.to_owned(),
+            uid: table.uid.as_ref().map_or(1, |at| at.value.0),
+            tx_node: tx_node.unwrap_or(TxNode::MIN),
+            board: table.board.as_ref().map(|at| at.value.clone()),
+            publishes: resolve(&table.publishes, "publishes"),
+            subscribes: resolve(&table.subscribes, "subscribes"),
+        }
+    }
+
+    fn unique<'t, T: 't>(
+        &self,
+        kind: &str,
+        items: impl Iterator<Item = (&'t Option<At<T>>, &'t Place)>,
+        key: impl Fn(&At<T>) -> String,
+    ) {
+        let mut seen = HashMap::new();
+        for (item, _) in items {
+            let Some(at) = item else { continue };
+            let key = key(at);
+            if seen.insert(key.clone(), ()).is_some() {
+                let help = format!("every {kind} needs its own");
+                self.problem(&at.place, kind.to_owned(), format!("{key} stands here a second time"), help);
+            }
+        }
+    }
+
+    /// Etags that the file gives, then the free ones in the order of the file.
+    fn etags(&self, tables: &[ChannelTable], channels: &mut [Channel], binding: Binding) {
+        let given: Vec<u16> = tables.iter().filter_map(|t| t.etag.as_ref()).map(|at| at.value).collect();
+        self.unique("channel", tables.iter().map(|t| (&t.etag, &t.place)), |at| format!("etag {}", at.value));
+        let mut hard = (Etag::HARD_FIRST.get()..=Etag::HARD_LAST.get()).filter(|e| !given.contains(e));
+        let mut bound =
+            (Etag::BOUND_FIRST.get()..=Etag::BOUND_LAST.get()).rev().filter(|e| !given.contains(e));
+        for (table, channel) in tables.iter().zip(channels) {
+            let is_hard = matches!(channel.class, Class::Hard { .. });
+            channel.etag = match &table.etag {
+                Some(at) => {
+                    Etag::new(at.value).filter(|etag| !etag.is_reserved() && etag.is_hard() == is_hard)
+                }
+                None if is_hard => hard.next().and_then(Etag::new),
+                None if binding == Binding::Static => bound.next().and_then(Etag::new),
+                None => continue,
+            };
+            if channel.etag.is_none() {
+                let (what, place) = match &table.etag {
+                    Some(at) => (format!("{} is not an etag of this class", at.value), at.place.clone()),
+                    None => ("there is no etag left".to_owned(), start_of(&table.place)),
+                };
+                let help = "hard real-time channels have 100..=1023, the others 1024..=16383";
+                self.problem(&place, format!("channel.{}.etag", channel.name), what, help);
+            }
+        }
+    }
+
+    /// Every channel must have a publisher; a hard real-time channel is of no use otherwise, and the
+    /// analysis of the others would be of nothing.
+    fn use_of_channels(&self, file: &ClusterFile, cluster: &Cluster) {
+        for (at, (channel, table)) in cluster.channels.iter().zip(&file.channel).enumerate() {
+            if table.name.is_some() && cluster.publishers(at).next().is_none() {
+                let help = format!("write {:?} into the `publishes` of a node", channel.name);
+                let place = table.name.as_ref().map_or(0..0, |at| at.place.clone());
+                self.problem(&place, format!("channel.{}", channel.name), "no node publishes it", help);
+            }
+            let Class::Hard { wishes: Wishes { after: Some(after), .. }, .. } = &channel.class else {
+                continue;
+            };
+            let Some(first) = cluster.channels.get(after.channel) else { continue };
+            let place =
+                table.after.as_ref().and_then(|a| a.channel.as_ref()).map_or(0..0, |at| at.place.clone());
+            let field = format!("channel.{}.after.channel", channel.name);
+            if !matches!(first.class, Class::Hard { .. }) {
+                let what = format!("{} has no slot", first.name);
+                self.problem(&place, field, what, "name a hard real-time channel");
+                continue;
+            }
+            let (a, b) = (first.recurrence.span().as_ticks(), channel.recurrence.span().as_ticks());
+            if a % b != 0 && b % a != 0 {
+                let what = format!(
+                    "neither of the two periods divides the other ({} and {})",
+                    show(first.recurrence.span()),
+                    show(channel.recurrence.span())
+                );
+                self.problem(&place, field, what, "make one period a multiple of the other");
+            }
+        }
+    }
+
+    fn hyperperiod(&self, file: &ClusterFile, cluster: &Cluster) {
+        let mut cycle: u64 = 1;
+        for (channel, table) in cluster.channels.iter().zip(&file.channel) {
+            if !matches!(channel.class, Class::Hard { .. }) {
+                continue;
+            }
+            let period = channel.recurrence.span().as_ticks();
+            let longest = Calendar::LONGEST_CYCLE.as_ticks();
+            match (period / gcd(cycle, period)).checked_mul(cycle).filter(|cycle| *cycle <= longest) {
+                Some(longer) => cycle = longer,
+                None => {
+                    let place = table.period.as_ref().or(table.min_interarrival.as_ref());
+                    let what = "with this period the calendar repeats only after more than an hour";
+                    let help = "choose periods with a common multiple under an hour, such as 5, 10, 20 ms";
+                    let place = place.map_or(start_of(&table.place), |at| at.place.clone());
+                    self.problem(&place, format!("channel.{}.period", channel.name), what, help);
+                }
+            }
+        }
+    }
+
+    fn foreign(&self, table: &ForeignTable, folder: &Path) -> Vec<Foreign> {
+        let name = table.name.as_ref().map_or("", |at| at.value.as_str());
+        let period = table.period.as_ref().map(|at| at.value.0);
+        if let Some(at) = &table.dbc {
+            return dbc::read(&folder.join(&at.value), period).unwrap_or_else(|(what, help)| {
+                self.problem(&at.place, "foreign.dbc".to_owned(), what, help);
+                Vec::new()
+            });
+        }
+        let (Some(id), Some(length), Some(period)) = (&table.id, &table.length, period) else {
+            let help = "write id, length and period of the frame, or dbc = \"file.dbc\"";
+            self.problem(&start_of(&table.place), format!("foreign.{name}"), "is incomplete", help);
+            return Vec::new();
+        };
+        let extended = table.extended.as_ref().map_or(id.value > 0x7FF, |at| at.value);
+        let limit: u32 = if extended { 0x1FFF_FFFF } else { 0x7FF };
+        if id.value > limit {
+            let help = format!("write at most {limit:#x}");
+            self.problem(
+                &id.place,
+                format!("foreign.{name}.id"),
+                format!("{:#x} is too large", id.value),
+                help,
+            );
+        }
+        if length.value > 8 {
+            let what = format!("{} bytes are too many", length.value);
+            self.problem(&length.place, format!("foreign.{name}.length"), what, "write at most 8");
+        }
+        let fallback = format!("{:#x}", id.value);
+        vec![Foreign {
+            name: if name.is_empty() { fallback } else { name.to_owned() },
+            id: id.value,
+            extended,
+            length: length.value.min(8),
+            period,
+            jitter: table.jitter.as_ref().map_or(ZERO, |at| at.value.0),
+            deadline: table.deadline.as_ref().map(|at| at.value.0),
+        }]
+    }
+
+    fn pool(&self, table: &format::PoolTable, cluster: &Cluster) -> Pool {
+        let names: Vec<&str> = cluster.channels.iter().map(|c| c.name.as_str()).collect();
+        let mut pool = Pool { channels: Vec::new(), faults: table.faults.as_ref().map_or(1, |at| at.value) };
+        for at in &table.channels {
+            let Some(channel) = self.resolve(at, &names, "pool.channels".to_owned()) else { continue };
+            let wrong = match &cluster.channels[channel].class {
+                Class::Hard { .. } if pool.channels.contains(&channel) => Some("stands there twice"),
+                Class::Hard { .. } => None,
+                _ => Some("is not hard real-time"),
+            };
+            if let Some(what) = wrong {
+                let help = "list different hard real-time channels";
+                self.problem(&at.place, "pool.channels".to_owned(), format!("{} {what}", at.value), help);
+            }
+            pool.channels.push(channel);
+        }
+        let place = table.channels.first().map_or(start_of(&table.place), |at| at.place.clone());
+        if let Some((what, help)) = unfit(&pool, cluster) {
+            self.problem(&place, "pool.channels".to_owned(), what, help);
+        }
+        pool
+    }
+}
+
+/// Why these channels cannot share one fault budget.
+fn unfit(pool: &Pool, cluster: &Cluster) -> Option<(&'static str, &'static str)> {
+    let Some(first) = pool.channels.first() else { return Some(("is empty", "list at least two channels")) };
+    let period = cluster.channels[*first].recurrence.span();
+    if pool.channels.iter().any(|c| cluster.channels[*c].recurrence.span() != period) {
+        return Some(("the periods differ", "pool channels of one period"));
+    }
+    let mut publishers = Vec::new();
+    for node in pool.channels.iter().flat_map(|c| cluster.publishers(*c)) {
+        // A node has one mailbox for hard real-time; its second frame would not be waiting on the bus.
+        if publishers.contains(&node.uid) {
+            return Some(("two slots have the same publisher", "pool channels of different nodes"));
+        }
+        publishers.push(node.uid);
+    }
+    None
+}
+
+fn name_of(name: &Option<At<super::values::Name>>) -> &str {
+    name.as_ref().map_or("", |at| &at.value.0)
+}
+
+fn start_of(place: &Place) -> Place {
+    place.start..place.start
+}
+
+fn gcd(mut a: u64, mut b: u64) -> u64 {
+    while b != 0 {
+        (a, b) = (b, a % b);
+    }
+    a
+}
+
+/// Bytes of the longest fragmented event.
+const LONGEST_EVENT: u16 = 1024;

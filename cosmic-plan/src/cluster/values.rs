@@ -1,0 +1,214 @@
+//! The types that fields of a cluster file have.
+
+use crate::document::{At, FromNode, Kind, Mismatch, Node};
+use crate::units;
+use cosmic_core::can::BitRate;
+use cosmic_core::time::Duration;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use std::borrow::Cow;
+
+impl<T: JsonSchema> JsonSchema for At<T> {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        T::schema_name()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        generator.subschema_for::<T>()
+    }
+}
+
+macro_rules! described {
+    ($type:ty, $name:expr, $schema:tt) => {
+        impl JsonSchema for $type {
+            fn schema_name() -> Cow<'static, str> {
+                $name.into()
+            }
+
+            fn json_schema(_: &mut SchemaGenerator) -> Schema {
+                json_schema!($schema)
+            }
+        }
+    };
+}
+
+/// A span of time with its unit.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Span(pub Duration);
+
+described!(Span, "Span", {
+    "type": "string",
+    "pattern": r"^[0-9_]+(\.[0-9]+)? ?(ns|us|µs|ms|s)$",
+    "description": "A span of time with its unit: \"10 ms\", \"2.5 ms\", \"250 us\"."
+});
+
+impl FromNode for Span {
+    fn from_node(node: &Node) -> Result<Self, Mismatch> {
+        let help = "write a number and ns, us, ms or s in quotes, such as \"10 ms\"";
+        match &node.kind {
+            Kind::Text(text) => units::parse_span(text)
+                .map(Self)
+                .ok_or_else(|| Mismatch::new(format!("{text:?} is not a span of time"), help)),
+            Kind::Number(text, _) => Err(Mismatch::new(
+                format!("{text} has no unit"),
+                format!("write \"{text} ms\" or \"{text} us\""),
+            )),
+            _ => Err(Mismatch::new(format!("{} is not a span of time", node.describe()), help)),
+        }
+    }
+}
+
+/// A span of time that is not zero.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct PositiveSpan(pub Duration);
+
+described!(PositiveSpan, "PositiveSpan", {
+    "type": "string",
+    "pattern": r"^[0-9_]+(\.[0-9]+)? ?(ns|us|µs|ms|s)$",
+    "description": "A span of time, not zero, with its unit: \"10 ms\", \"2.5 ms\", \"250 us\"."
+});
+
+impl FromNode for PositiveSpan {
+    fn from_node(node: &Node) -> Result<Self, Mismatch> {
+        match Span::from_node(node)?.0 {
+            span if span.is_zero() => Err(Mismatch::new("is zero", "write a span above zero")),
+            span => Ok(Self(span)),
+        }
+    }
+}
+
+/// A bit rate.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Rate(pub BitRate);
+
+described!(Rate, "Rate", {
+    "description": "A bit rate: \"1 Mbit/s\", \"500 kbit/s\", or bits per second.",
+    "anyOf": [
+        { "type": "string", "pattern": r"^[0-9_]+(\.[0-9]+)? ?(bit/s|kbit/s|Mbit/s)?$" },
+        { "type": "integer", "minimum": 10_000, "maximum": 1_000_000 }
+    ]
+});
+
+impl FromNode for Rate {
+    fn from_node(node: &Node) -> Result<Self, Mismatch> {
+        let bits = match &node.kind {
+            Kind::Text(text) | Kind::Number(text, 10) => units::parse_bits_per_second(text),
+            _ => None,
+        };
+        let usual = "write 1 Mbit/s, 800, 500, 250, 125, 100, 50, 20 or 10 kbit/s";
+        let bits =
+            bits.ok_or_else(|| Mismatch::new(format!("{} is not a bit rate", node.describe()), usual))?;
+        BitRate::new(bits).map(Self).ok_or_else(|| {
+            let what = format!(
+                "{bits} bit/s is outside 10 kbit/s..1 Mbit/s, or its bit time is no whole number of nanoseconds"
+            );
+            Mismatch::new(what, usual)
+        })
+    }
+}
+
+/// A 64-bit UID other than zero.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Uid(pub u64);
+
+described!(Uid, "Uid", {
+    "description": "A 64-bit number other than zero, in hexadecimal: \"0x1122334455667788\".",
+    "anyOf": [
+        { "type": "string", "pattern": "^(0[xX][0-9a-fA-F_]+|[0-9_]+)$" },
+        { "type": "integer", "minimum": 1 }
+    ]
+});
+
+impl FromNode for Uid {
+    fn from_node(node: &Node) -> Result<Self, Mismatch> {
+        let help = "write a 64-bit number other than zero, such as \"0x1122334455667788\"";
+        let wrong = |what: String| Mismatch::new(what, help);
+        match u64::from_node(node).map_err(|_| wrong(format!("{} is not a UID", node.describe())))? {
+            0 => Err(wrong("UID 0 is not valid".to_owned())),
+            uid => Ok(Self(uid)),
+        }
+    }
+}
+
+/// A name that can become a name in Rust.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Name(pub String);
+
+described!(Name, "Name", {
+    "type": "string",
+    "pattern": "^[a-z][a-z0-9_]*$",
+    "description": "Lower-case letters, digits and underscores, a letter first."
+});
+
+/// Words that a generated module cannot be called.
+const KEYWORDS: [&str; 50] = [
+    "abstract", "as", "async", "await", "become", "box", "break", "const", "continue", "crate", "do", "dyn",
+    "else", "enum", "extern", "false", "final", "fn", "for", "gen", "if", "impl", "in", "let", "loop",
+    "macro", "match", "mod", "move", "mut", "override", "priv", "pub", "ref", "return", "self", "static",
+    "struct", "super", "trait", "true", "try", "type", "typeof", "unsafe", "unsized", "use", "virtual",
+    "where", "while",
+];
+
+impl FromNode for Name {
+    fn from_node(node: &Node) -> Result<Self, Mismatch> {
+        let text = String::from_node(node)?;
+        let help = "write lower-case letters, digits and underscores, a letter first, no word of Rust";
+        let legal = text.starts_with(|c: char| c.is_ascii_lowercase())
+            && text.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
+            && !KEYWORDS.contains(&text.as_str());
+        if legal { Ok(Self(text)) } else { Err(Mismatch::new(format!("{text:?} cannot be a name"), help)) }
+    }
+}
+
+macro_rules! choice {
+    ($(#[$doc:meta])* $type:ident { $($(#[$variant_doc:meta])* $variant:ident = $word:literal),* $(,)? }) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, PartialEq, Eq, Debug)]
+        pub enum $type {
+            $($(#[$variant_doc])* $variant,)*
+        }
+
+        described!($type, stringify!($type), { "type": "string", "enum": [$($word),*] });
+
+        impl FromNode for $type {
+            fn from_node(node: &Node) -> Result<Self, Mismatch> {
+                let text = match &node.kind {
+                    Kind::Text(text) => text.as_str(),
+                    _ => "",
+                };
+                match text {
+                    $($word => Ok(Self::$variant),)*
+                    _ => Err(Mismatch::new(
+                        format!("{} is not one of the choices", node.describe()),
+                        format!("write one of {}", [$($word),*].join(", ")),
+                    )),
+                }
+            }
+        }
+    };
+}
+
+choice! {
+    /// The class of a channel.
+    ClassName {
+        /// Hard real-time.
+        Hard = "HRT",
+        /// Soft real-time.
+        Soft = "SRT",
+        /// Non real-time.
+        NonRealTime = "NRT",
+    }
+}
+
+choice! {
+    /// How etags of soft and non real-time channels are found.
+    BindingName {
+        /// Fixed in the plan.
+        Static = "static",
+        /// By the broker at run time.
+        Broker = "broker",
+    }
+}

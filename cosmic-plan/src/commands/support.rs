@@ -1,0 +1,107 @@
+//! What the commands share: reading, progress, failing.
+
+use cosmic_plan::cluster::Cluster;
+use cosmic_plan::document::{Problems, Source};
+use cosmic_plan::plan::{Effort, NoPlan, Plan, plan};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::cell::RefCell;
+use std::io::{IsTerminal, Write as _};
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+/// Exit code: something does not hold.
+pub(super) const INFEASIBLE: u8 = 1;
+/// Exit code: the input is wrong.
+pub(super) const BAD_INPUT: u8 = 2;
+
+/// Why a command ended early.
+#[derive(Debug)]
+pub(super) enum Failure {
+    /// A document has problems.
+    Document { problems: Box<Problems>, json: bool },
+    /// A file cannot be read or written, or the like: one line with the remedy.
+    Line(String),
+}
+
+impl Failure {
+    pub(super) fn report(self) -> ExitCode {
+        match self {
+            Self::Document { problems, json: true } => {
+                print_json(&serde_json::json!({ "verdict": "bad input", "problems": problems.to_json() }));
+            }
+            Self::Document { problems, json: false } => {
+                eprint!("{}", problems.render(std::io::stderr().is_terminal()));
+                let count = problems.list().len();
+                eprintln!("{count} problem{}; nothing was done", if count == 1 { "" } else { "s" });
+            }
+            Self::Line(line) => eprintln!("cosmic-plan: {line}"),
+        }
+        ExitCode::from(BAD_INPUT)
+    }
+}
+
+/// Reads a document.
+pub(super) fn source(file: &Path) -> Result<Source, Failure> {
+    let text = std::fs::read_to_string(file).map_err(|error| {
+        Failure::Line(format!("{} cannot be read: {error}; give the path of a cluster file", file.display()))
+    })?;
+    Ok(Source::new(file.display().to_string(), text))
+}
+
+/// Reads a cluster.
+pub(super) fn cluster(file: &Path, json: bool) -> Result<Cluster, Failure> {
+    Cluster::read(&source(file)?).map_err(|problems| Failure::Document { problems: Box::new(problems), json })
+}
+
+/// Plans with a progress bar that shows itself after a second.
+pub(super) fn planned(cluster: &Cluster) -> Result<Plan, NoPlan> {
+    with_progress(|watch| plan(cluster, &Effort { watch: Some(watch), ..Effort::default() }))
+}
+
+/// Runs something long with a progress bar that shows itself after a second.
+pub(super) fn with_progress<T>(run: impl FnOnce(&dyn Fn(&str)) -> T) -> T {
+    let started = Instant::now();
+    let bar: RefCell<Option<ProgressBar>> = RefCell::new(None);
+    let watch = |what: &str| {
+        if started.elapsed() < Duration::from_secs(1) {
+            return;
+        }
+        let mut bar = bar.borrow_mut();
+        let bar = bar.get_or_insert_with(|| {
+            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+            let style = ProgressStyle::with_template("{spinner} {msg} ({elapsed})");
+            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+            bar.enable_steady_tick(Duration::from_millis(120));
+            bar
+        });
+        bar.set_message(what.to_owned());
+    };
+    let result = run(&watch);
+    if let Some(bar) = bar.borrow_mut().take() {
+        bar.finish_and_clear();
+    }
+    result
+}
+
+/// Writes a file, whole or not at all.
+pub(super) fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    let whole = || {
+        let partial = path.with_extension("partial");
+        std::fs::write(&partial, text)?;
+        std::fs::rename(&partial, path)
+    };
+    whole().map_err(|error: std::io::Error| {
+        Failure::Line(format!("{} cannot be written: {error}; choose another place", path.display()))
+    })
+}
+
+/// Prints JSON. A reader that closed the pipe does not want the rest.
+pub(super) fn print_json(value: &serde_json::Value) {
+    print_text(&format!("{value:#}\n"));
+}
+
+/// Prints text, as [`print_json`] does.
+pub(super) fn print_text(text: &str) {
+    let _ = std::io::stdout().write_all(text.as_bytes());
+}

@@ -1,0 +1,3 @@
+//! What others read: the firmware, people, tools.
+
+pub mod rust;

@@ -1,0 +1,227 @@
+//! Why no calendar exists: a small set of constraints that contradict each other.
+
+use super::layout::Layout;
+use super::request::{Item, Request, gcd};
+use super::{Effort, exact, greedy};
+use crate::cluster::Cluster;
+use crate::units::show;
+use cosmic_core::time::Duration;
+use std::time::Instant;
+
+/// Constraints that no calendar keeps together, and how to get out of it.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Conflict {
+    /// The constraints, each in words.
+    pub constraints: Vec<String>,
+    /// The channels whose slots clash: positions in [`Cluster::channels`].
+    pub channels: Vec<usize>,
+    /// Without any one of the constraints the rest could be kept: nothing is said in vain. `false` if time
+    /// ran out before that was known.
+    pub minimal: bool,
+    /// Why, in one sentence.
+    pub reason: String,
+}
+
+/// A constraint that could be dropped.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Constraint {
+    Window(usize),
+    Bounds(usize),
+    Link(usize),
+}
+
+/// A contradiction that needs no search: its reason and the items in it.
+pub(super) fn obvious(request: &Request) -> Option<(String, Vec<usize>)> {
+    let span = |ticks: i64| show(Duration::from_ticks(ticks.unsigned_abs()));
+    for (at, item) in request.items.iter().enumerate() {
+        if item.window > item.period {
+            let reason = format!(
+                "a window of {} does not fit into a period of {}",
+                span(item.window),
+                span(item.period)
+            );
+            return Some((reason, vec![at]));
+        }
+        if item.earliest > item.latest {
+            return Some(("the wishes for the position of one slot leave no position".to_owned(), vec![at]));
+        }
+    }
+    for (at, a) in request.items.iter().enumerate() {
+        for (other, b) in request.items[..at].iter().enumerate() {
+            let grid = gcd(a.period, b.period);
+            if a.window + b.window > grid {
+                let reason = format!(
+                    "windows of {} and {} recur with periods of {} and {} and so meet within every {}",
+                    span(a.window),
+                    span(b.window),
+                    span(a.period),
+                    span(b.period),
+                    span(grid)
+                );
+                return Some((reason, vec![other, at]));
+            }
+        }
+    }
+    overload(request).map(|items| ("the windows need more than all of the time".to_owned(), items))
+}
+
+/// Items whose windows need more than all of the time: as few as possible, the largest first.
+fn overload(request: &Request) -> Option<Vec<usize>> {
+    let share = |item: &Item| item.window as f64 / item.period as f64;
+    // Rounding must not call a full bus an overload.
+    if request.utilisation() <= 1.0 + 1e-9 {
+        return None;
+    }
+    let mut items: Vec<usize> = (0..request.items.len()).collect();
+    items.sort_by(|a, b| share(&request.items[*b]).total_cmp(&share(&request.items[*a])));
+    let mut sum = 0.0;
+    let enough = items.iter().position(|at| {
+        sum += share(&request.items[*at]);
+        sum > 1.0 + 1e-9
+    })?;
+    items.truncate(enough + 1);
+    Some(items)
+}
+
+/// A small set of constraints that contradict each other, of a request that is known to be impossible.
+pub(super) fn find(cluster: &Cluster, layout: &Layout, effort: &Effort<'_>) -> Conflict {
+    let started = Instant::now();
+    if let Some((reason, items)) = obvious(&layout.request) {
+        let mut kept: Vec<Constraint> = items.iter().map(|at| Constraint::Window(*at)).collect();
+        let bounded = reason.starts_with("the wishes");
+        if bounded {
+            kept.extend(items.iter().map(|at| Constraint::Bounds(*at)));
+        }
+        return describe(cluster, layout, &kept, reason, true);
+    }
+    let request = &layout.request;
+    let mut kept: Vec<Constraint> = (0..request.links.len()).map(Constraint::Link).collect();
+    kept.extend(
+        (0..request.items.len()).filter(|at| is_bounded(&request.items[*at])).map(Constraint::Bounds),
+    );
+    let mut windows: Vec<usize> = (0..request.items.len()).collect();
+    // Slots that take little are dropped first, so that a few large ones remain.
+    windows.sort_by_key(|at| request.items[*at].window * 1000 / request.items[*at].period);
+    kept.extend(windows.into_iter().map(Constraint::Window));
+    let mut minimal = true;
+    let mut at = 0;
+    while at < kept.len() {
+        let mut without = kept.clone();
+        let dropped = without.remove(at);
+        if let Constraint::Window(item) = dropped {
+            // A slot goes with the wishes for it.
+            without.retain(|c| !concerns(request, *c, item));
+        }
+        let budget = effort.limit / 2;
+        match is_impossible(&reduced(request, &without), started, budget) {
+            Some(true) => {
+                // What was found to be needed before stays so: fewer constraints clash less.
+                at = kept[..at].iter().filter(|constraint| without.contains(constraint)).count();
+                kept = without;
+            }
+            Some(false) => at += 1,
+            None => {
+                minimal = false;
+                at += 1;
+            }
+        }
+        super::report(effort, "looking for the smallest contradiction");
+    }
+    let reason = "no order of these slots keeps their windows apart".to_owned();
+    describe(cluster, layout, &kept, reason, minimal)
+}
+
+fn is_bounded(item: &Item) -> bool {
+    item.earliest > 0 || item.latest < item.period - 1
+}
+
+fn concerns(request: &Request, constraint: Constraint, item: usize) -> bool {
+    match constraint {
+        Constraint::Window(at) | Constraint::Bounds(at) => at == item,
+        Constraint::Link(at) => request.links[at].first == item || request.links[at].then == item,
+    }
+}
+
+/// The request with only these constraints.
+fn reduced(request: &Request, kept: &[Constraint]) -> Request {
+    let mut reduced = request.clone();
+    for (at, item) in reduced.items.iter_mut().enumerate() {
+        if !kept.contains(&Constraint::Bounds(at)) {
+            (item.earliest, item.latest) = (0, item.period - 1);
+        }
+    }
+    let links = reduced.links.iter().enumerate();
+    reduced.links =
+        links.filter(|(at, _)| kept.contains(&Constraint::Link(*at))).map(|(_, link)| *link).collect();
+    let items: Vec<usize> =
+        (0..request.items.len()).filter(|at| kept.contains(&Constraint::Window(*at))).collect();
+    reduced.restricted(&items)
+}
+
+fn is_impossible(request: &Request, started: Instant, budget: std::time::Duration) -> Option<bool> {
+    if obvious(request).is_some() {
+        return Some(true);
+    }
+    if greedy::place(request, &mut || false).is_some() {
+        return Some(false);
+    }
+    if started.elapsed() > budget {
+        return None;
+    }
+    match exact::solve(request, &mut || started.elapsed() < budget) {
+        exact::Answer::Impossible => Some(true),
+        exact::Answer::Placed(_) => Some(false),
+        exact::Answer::Unknown => None,
+    }
+}
+
+fn describe(
+    cluster: &Cluster,
+    layout: &Layout,
+    kept: &[Constraint],
+    reason: String,
+    minimal: bool,
+) -> Conflict {
+    let request = &layout.request;
+    let span = |ticks: i64| show(Duration::from_ticks(ticks.unsigned_abs()));
+    let name = |at: usize| {
+        let slots = layout.owners[at].slots.iter();
+        let names: Vec<_> = slots
+            .map(|(channel, node)| {
+                format!("{} of {}", cluster.channels[*channel].name, cluster.nodes[*node].name)
+            })
+            .collect();
+        names.join(" + ")
+    };
+    let words = |constraint: &Constraint| match *constraint {
+        Constraint::Window(at) => {
+            let item = &request.items[at];
+            format!("{}: a window of {} every {}", name(at), span(item.window), span(item.period))
+        }
+        Constraint::Bounds(at) => {
+            let item = &request.items[at];
+            let bounds = match item {
+                _ if item.latest < 0 => "its deadline is shorter than its window".to_owned(),
+                _ => format!("ready from {} to {} of each period", span(item.earliest), span(item.latest)),
+            };
+            format!("{}: {bounds}", name(at))
+        }
+        Constraint::Link(at) => {
+            let link = &request.links[at];
+            format!("{}: after {}, at most {} later", name(link.then), name(link.first), span(link.within))
+        }
+    };
+    let mut channels: Vec<usize> = Vec::new();
+    for constraint in kept {
+        let items = match *constraint {
+            Constraint::Window(at) | Constraint::Bounds(at) => vec![at],
+            Constraint::Link(at) => vec![request.links[at].first, request.links[at].then],
+        };
+        for (channel, _) in items.iter().flat_map(|at| &layout.owners[*at].slots) {
+            if !channels.contains(channel) {
+                channels.push(*channel);
+            }
+        }
+    }
+    Conflict { constraints: kept.iter().map(words).collect(), channels, minimal, reason }
+}

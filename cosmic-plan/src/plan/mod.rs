@@ -1,0 +1,259 @@
+//! Calendar synthesis: where each hard real-time slot stands.
+//!
+//! Every hard real-time channel needs one slot for each of its publishers. A slot's window is fixed by
+//! its frame length and omission degree ([`Segment::slot_times`]); what is sought is its phase, such
+//! that no windows of any occurrences overlap. That problem (strictly periodic, non-pre-emptive) is
+//! NP-hard, so three methods follow each other: quick placement, which nearly always succeeds; a complete
+//! search, which finds a calendar whenever one exists or proves that none does; and, for channels that
+//! allow jitter, placement of every occurrence by itself. What was found is then spread out, so that the
+//! free time comes in even portions.
+
+mod circle;
+pub mod conflict;
+mod exact;
+mod greedy;
+mod layout;
+pub mod relax;
+pub mod request;
+mod spread;
+
+use crate::cluster::{Class, Cluster};
+use conflict::Conflict;
+use cosmic_core::calendar::{Calendar, CalendarError, Segment, Slot, SlotTimes};
+use cosmic_core::time::Duration;
+use layout::Layout;
+use std::time::Instant;
+
+/// How long to try.
+#[derive(Clone, Copy)]
+pub struct Effort<'a> {
+    /// After this time a search that has not ended gives up.
+    pub limit: std::time::Duration,
+    /// Called now and then with what is being done, for a progress bar.
+    pub watch: Option<&'a dyn Fn(&str)>,
+}
+
+impl Default for Effort<'_> {
+    fn default() -> Self {
+        Self { limit: std::time::Duration::from_secs(8), watch: None }
+    }
+}
+
+impl std::fmt::Debug for Effort<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Effort").field("limit", &self.limit).finish_non_exhaustive()
+    }
+}
+
+/// How a calendar was found.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Method {
+    /// There was nothing to place.
+    Empty,
+    /// By quick placement.
+    Placement,
+    /// By the complete search.
+    Search,
+    /// By the complete search over single occurrences, within the jitter that channels allow.
+    Occurrences,
+}
+
+/// A slot with what it is for.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct PlannedSlot {
+    /// Position of its channel in [`Cluster::channels`].
+    pub channel: usize,
+    /// Position of its publisher in [`Cluster::nodes`].
+    pub node: usize,
+    /// The slot as it stands in the calendar.
+    pub slot: Slot,
+    /// Its instants.
+    pub times: SlotTimes,
+    /// The pool whose window it shares: position in [`Cluster::pools`].
+    pub pool: Option<usize>,
+}
+
+/// A calendar for a cluster.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Plan {
+    segment: Segment,
+    cycle: Duration,
+    slots: Vec<PlannedSlot>,
+    method: Method,
+}
+
+impl Plan {
+    /// What holds for all slots.
+    pub fn segment(&self) -> &Segment {
+        &self.segment
+    }
+
+    /// After this span everything repeats.
+    pub fn cycle(&self) -> Duration {
+        self.cycle
+    }
+
+    /// The slots, by phase.
+    pub fn slots(&self) -> &[PlannedSlot] {
+        &self.slots
+    }
+
+    /// How the calendar was found.
+    pub fn method(&self) -> Method {
+        self.method
+    }
+
+    /// The windows in one cycle, in order of time: ready instant and slot. One of each shared window.
+    pub fn occurrences(&self) -> Vec<(Duration, &PlannedSlot)> {
+        let mut all = Vec::new();
+        for planned in &self.slots {
+            let period = planned.slot.period.as_ticks();
+            for turn in 0..self.cycle.as_ticks() / period.max(1) {
+                all.push((Duration::from_ticks(planned.slot.phase.as_ticks() + turn * period), planned));
+            }
+        }
+        all.sort_by_key(|(ready, planned)| (*ready, planned.slot.etag));
+        all
+    }
+
+    /// The share of time that windows reserve.
+    pub fn reserved(&self) -> f64 {
+        let mut shared = Vec::new();
+        let mut share = 0.0;
+        for planned in &self.slots {
+            if let Some(pool) = planned.pool {
+                if shared.contains(&(pool, planned.slot.phase)) {
+                    continue;
+                }
+                shared.push((pool, planned.slot.phase));
+            }
+            share += planned.times.delivery.as_ticks() as f64 / planned.slot.period.as_ticks() as f64;
+        }
+        share
+    }
+
+    /// How long windows follow each other without a gap, at most.
+    pub fn longest_stretch(&self) -> Duration {
+        let windows: Vec<(i64, i64)> = self
+            .occurrences()
+            .iter()
+            .map(|(ready, planned)| (request::ticks(*ready), request::ticks(planned.times.delivery)))
+            .collect();
+        let longest = spread::longest_stretch(&windows, request::ticks(self.cycle).max(1));
+        Duration::from_ticks(longest.unsigned_abs())
+    }
+
+    /// The calendar as the firmware will have it.
+    ///
+    /// # Errors
+    /// The calendar's own check finds something wrong, which would be a fault of the planner.
+    pub fn calendar(&self) -> Result<Calendar, CalendarError> {
+        let slots: Vec<Slot> = self.slots.iter().map(|planned| planned.slot).collect();
+        // A calendar refers to constants in the image; here it lives as long as the program.
+        Calendar::new(self.segment, self.cycle, slots.leak())
+    }
+}
+
+/// Why there is no plan.
+#[derive(Clone, PartialEq, Debug)]
+pub enum NoPlan {
+    /// No calendar exists: a few constraints that contradict each other.
+    Impossible(Conflict),
+    /// None was found in the time allowed, nor a proof that none exists.
+    GaveUp {
+        /// How many slots there are to place.
+        slots: usize,
+        /// The share of time that they would reserve.
+        reserved: f64,
+    },
+}
+
+/// Finds a calendar for the hard real-time channels.
+///
+/// # Errors
+/// There is none, and why; or none was found in the time allowed.
+pub fn plan(cluster: &Cluster, effort: &Effort<'_>) -> Result<Plan, NoPlan> {
+    let layout = Layout::of(cluster);
+    if layout.request.items.is_empty() {
+        let cycle = Duration::from_millis(10);
+        return Ok(Plan { segment: cluster.segment, cycle, slots: Vec::new(), method: Method::Empty });
+    }
+    let (found, method) = match search(&layout.request, effort) {
+        exact::Answer::Placed(positions) => return Ok(finish(cluster, &layout, positions)),
+        other => (other, Method::Occurrences),
+    };
+    if let Some(split) = layout.by_occurrence(cluster) {
+        if let exact::Answer::Placed(positions) = run_exact(&split.request, effort, Instant::now()) {
+            return Ok(split.plan(cluster, &positions, method));
+        }
+    }
+    match found {
+        exact::Answer::Impossible => Err(NoPlan::Impossible(conflict::find(cluster, &layout, effort))),
+        _ => {
+            Err(NoPlan::GaveUp { slots: layout.request.items.len(), reserved: layout.request.utilisation() })
+        }
+    }
+}
+
+/// Is there a calendar? As [`plan`], without the reason if there is none.
+pub fn is_plannable(cluster: &Cluster, effort: &Effort<'_>) -> bool {
+    let layout = Layout::of(cluster);
+    if matches!(search(&layout.request, effort), exact::Answer::Placed(_)) {
+        return true;
+    }
+    layout.by_occurrence(cluster).is_some_and(|split| {
+        matches!(run_exact(&split.request, effort, Instant::now()), exact::Answer::Placed(_))
+    })
+}
+
+fn finish(cluster: &Cluster, layout: &Layout, placed: Vec<i64>) -> Plan {
+    let method = if greedy_found(&layout.request, &placed) { Method::Placement } else { Method::Search };
+    let positions = spread::spread(&layout.request, &placed);
+    let positions = if layout.request.accepts(&positions) { positions } else { placed };
+    layout.plan(cluster, &positions, method)
+}
+
+fn greedy_found(request: &request::Request, positions: &[i64]) -> bool {
+    greedy::place(request, &mut || false).as_deref() == Some(positions)
+}
+
+/// Quick placement, then the complete search.
+fn search(request: &request::Request, effort: &Effort<'_>) -> exact::Answer {
+    let started = Instant::now();
+    if conflict::obvious(request).is_some() {
+        return exact::Answer::Impossible;
+    }
+    let small = exact::size(request) <= EXACT_SIZE;
+    // Where the complete search can take over it soon should.
+    let share = if small { 20 } else { 1 };
+    let mut within_share = || {
+        report(effort, "placing slots");
+        started.elapsed() < effort.limit / share
+    };
+    if let Some(positions) = greedy::place(request, &mut within_share) {
+        return exact::Answer::Placed(positions);
+    }
+    if small { run_exact(request, effort, started) } else { exact::Answer::Unknown }
+}
+
+fn run_exact(request: &request::Request, effort: &Effort<'_>, started: Instant) -> exact::Answer {
+    exact::solve(request, &mut || {
+        report(effort, "searching all orders of slots");
+        started.elapsed() < effort.limit
+    })
+}
+
+fn report(effort: &Effort<'_>, what: &str) {
+    if let Some(watch) = effort.watch {
+        watch(what);
+    }
+}
+
+/// How many hard real-time channels there are.
+pub fn hard_channels(cluster: &Cluster) -> impl Iterator<Item = usize> + '_ {
+    let hard = |at: &usize| matches!(cluster.channels[*at].class, Class::Hard { .. });
+    (0..cluster.channels.len()).filter(hard)
+}
+
+/// Truth values up to which the complete search is tried.
+const EXACT_SIZE: i64 = 60_000;
