@@ -16,6 +16,8 @@ const MOST_MISSED: u8 = 3;
 /// What is wrong with every node.
 #[derive(Clone, Copy)]
 pub(crate) struct Environment {
+    /// The span between two sync frames, in nanoseconds.
+    pub(crate) period: u64,
     /// The largest deviation of an oscillator from its nominal frequency.
     pub(crate) drift: f64,
     /// The largest change of that, per second.
@@ -114,7 +116,11 @@ impl Cluster {
         let count = nodes;
         let nodes = (0..nodes)
             .map(|number| {
-                let config = SyncConfig { rank: Rank::new(number as u8), ..SyncConfig::DEFAULT };
+                let config = SyncConfig {
+                    rank: Rank::new(number as u8),
+                    period: Duration::from_ticks(environment.period),
+                    ..SyncConfig::DEFAULT
+                };
                 let oscillator = Oscillator {
                     limit: environment.drift,
                     wander: environment.wander,
@@ -164,7 +170,7 @@ impl Cluster {
         for node in &mut self.nodes {
             node.segment = 0;
         }
-        self.agreed_from = self.now + 110 * MILLISECOND;
+        self.agreed_from = self.now + self.environment.period + 10 * MILLISECOND;
     }
 
     pub(crate) fn masters(&self) -> Vec<usize> {
