@@ -9,6 +9,7 @@ use cosmic_core::event_layer::{Channel, Event, Filter, Policy, Publication, Subs
 use rtic::Mutex;
 use rtic_sync::signal::SignalWriter;
 
+use crate::cluster;
 use crate::node::{Buffers, Locked, Node};
 use crate::records::{Records, Sequenced};
 
@@ -33,9 +34,15 @@ pub struct Reporter {
 }
 
 impl<C: Sequenced + defmt::Format> Publisher<C> {
-    /// Announces the channel. For `init`; a channel that cannot be announced ends there, with a log.
-    pub fn announce(channel: &Channel<C>, node: &mut Node, buffers: &mut Buffers) -> Self {
-        let publication = defmt::unwrap!(node.half().announce(channel, buffers));
+    /// Announces the channel. A channel that cannot be announced is a mistake in the source: the
+    /// application ends, with a log.
+    pub fn announce(
+        channel: &Channel<C>,
+        node: &mut impl Mutex<T = Node>,
+        buffers: &mut impl Mutex<T = Buffers>,
+    ) -> Self {
+        let publication = node.lock(|node| node.half().announce(channel, &mut Locked(buffers)));
+        let publication = defmt::unwrap!(publication);
         Self { channel: *channel, publication }
     }
 
@@ -65,9 +72,16 @@ impl<C: Sequenced + defmt::Format> Publisher<C> {
 }
 
 impl<C: Sequenced> Subscriber<C> {
-    /// Subscribes to all events of the channel. For `init`, as [`Publisher::announce`].
-    pub fn subscribe(channel: &Channel<C>, policy: Policy, node: &mut Node, buffers: &mut Buffers) -> Self {
-        let subscription = defmt::unwrap!(node.half().subscribe(channel, Filter::ALL, policy, buffers));
+    /// Subscribes to all events of the channel; as [`Publisher::announce`].
+    pub fn subscribe(
+        channel: &Channel<C>,
+        policy: Policy,
+        node: &mut impl Mutex<T = Node>,
+        buffers: &mut impl Mutex<T = Buffers>,
+    ) -> Self {
+        let subscription =
+            node.lock(|node| node.half().subscribe(channel, Filter::ALL, policy, &mut Locked(buffers)));
+        let subscription = defmt::unwrap!(subscription);
         Self { channel: *channel, subscription }
     }
 
@@ -94,6 +108,13 @@ impl Reporter {
         exception: MeasuringPoint<15>,
     ) -> Self {
         Self { records, wake, published, exception }
+    }
+}
+
+/// Waits until this node knows the time of the cluster, without which it takes no part in hard real-time.
+pub async fn synchronised(node: &mut impl Mutex<T = Node>) {
+    while !node.lock(|node| node.clock().is_synchronised(clock::now())) {
+        clock::delay_until(clock::now() + cluster::SYNC.period).await;
     }
 }
 

@@ -172,9 +172,9 @@ pub const SYNC: SyncConfig = SyncConfig {
     ..SyncConfig::DEFAULT
 };
 
-/// From the start of a master's time scale until all nodes rely on it: it is not trusted for six periods,
-/// and the first frames may be missed.
-pub const SETTLING: Duration = Duration::from_ticks(10 * SYNC.period.as_ticks());
+/// From the instant at which one node relies on its clock until all do: the first frames of a master may
+/// have been missed.
+pub const SETTLING: Duration = Duration::from_ticks(3 * SYNC.period.as_ticks());
 
 /// The slot of the wheel speed.
 pub const WHEEL_SPEED_SLOT: Slot = Slot {

@@ -9,12 +9,15 @@ mod app {
     use cosmic_core::event_layer::{Depth, Policy};
     use cosmic_core::protocol::Rank;
     use firmware::application::{self, Publisher, Reporter, Subscriber};
-    use firmware::cluster::{self, BrakeForce, Suspension, Temperature, WheelSpeed};
+    use firmware::cluster::{self, BrakeForce};
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::{Buffers, Node};
     use firmware::signals;
     use firmware::start::{Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
+
+    /// For each subscription.
+    const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
 
     /// In the succession of time masters.
     const RANK: Rank = Rank::new(1).unwrap();
@@ -35,22 +38,12 @@ mod app {
         outcomes: OutcomeParts,
         other: OtherParts,
         inbox: Inbox,
-        wheel_speed: Subscriber<WheelSpeed>,
-        temperature: Subscriber<Temperature>,
-        suspension: Subscriber<Suspension>,
-        brake_force: Publisher<BrakeForce>,
     }
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
         let parts = start(context.device, cluster::BRAKE, RANK, context.local.storage);
-        let Parts { calendar, urgent, outcomes, other, inbox, mut node, mut buffers, reporter } = parts;
-        let queue = Policy::Fifo(const { Depth::new(8).unwrap() });
-        let wheel_speed = Subscriber::subscribe(&cluster::WHEEL_SPEED, queue, &mut node, &mut buffers);
-        let temperature = Subscriber::subscribe(&cluster::TEMPERATURE, queue, &mut node, &mut buffers);
-        let suspension = Subscriber::subscribe(&cluster::SUSPENSION, queue, &mut node, &mut buffers);
-        let brake_force = Publisher::announce(&cluster::BRAKE_FORCE, &mut node, &mut buffers);
-
+        let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
         let spawned = [
             calendar::spawn(),
             etch::spawn(),
@@ -61,20 +54,7 @@ mod app {
         ];
         // Each task is spawned once, so there is room for it.
         defmt::assert!(spawned.iter().all(Result::is_ok));
-        (
-            Shared { buffers, node, reporter, disc: 0 },
-            Local {
-                calendar,
-                urgent,
-                outcomes,
-                other,
-                inbox,
-                wheel_speed,
-                temperature,
-                suspension,
-                brake_force,
-            },
-        )
+        (Shared { buffers, node, reporter, disc: 0 }, Local { calendar, urgent, outcomes, other, inbox })
     }
 
     #[task(local = [calendar], shared = [buffers], priority = 7)]
@@ -108,38 +88,42 @@ mod app {
     }
 
     /// Brakes as the wheel speed demands, less when the disc is hot.
-    #[task(local = [wheel_speed, brake_force], shared = [node, buffers, reporter, disc], priority = 1)]
+    #[task(shared = [node, buffers, reporter, disc], priority = 1)]
     async fn brake(mut context: brake::Context) {
-        let shared = &mut context.shared;
+        let brake::SharedResources { node, buffers, reporter, disc, .. } = &mut context.shared;
+        let brake_force = Publisher::announce(&cluster::BRAKE_FORCE, node, buffers);
+        application::synchronised(node).await;
+        let wheel_speed = Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node, buffers);
         let mut sequence = 0;
         loop {
-            let event = context.local.wheel_speed.next(&mut shared.node, &mut shared.reporter).await;
-            let centidegrees = shared.disc.lock(|disc| *disc);
+            let event = wheel_speed.next(node, reporter).await;
+            let centidegrees = disc.lock(|disc| *disc);
             let content = BrakeForce {
                 sequence,
                 force: signals::brake_force(event.content.speed, centidegrees),
                 based_on: event.content.sequence as u16,
             };
-            let publisher = &context.local.brake_force;
-            publisher.publish(content, &mut shared.node, &mut shared.buffers, &mut shared.reporter);
+            brake_force.publish(content, node, buffers, reporter);
             sequence = sequence.wrapping_add(1);
         }
     }
 
-    #[task(local = [temperature], shared = [node, reporter, disc], priority = 1)]
+    #[task(shared = [node, buffers, reporter, disc], priority = 1)]
     async fn watch_temperature(mut context: watch_temperature::Context) {
-        let shared = &mut context.shared;
+        let watch_temperature::SharedResources { node, buffers, reporter, disc, .. } = &mut context.shared;
+        let temperature = Subscriber::subscribe(&cluster::TEMPERATURE, QUEUE, node, buffers);
         loop {
-            let event = context.local.temperature.next(&mut shared.node, &mut shared.reporter).await;
-            shared.disc.lock(|disc| *disc = event.content.centidegrees);
+            let event = temperature.next(node, reporter).await;
+            disc.lock(|disc| *disc = event.content.centidegrees);
         }
     }
 
-    #[task(local = [suspension], shared = [node, reporter], priority = 1)]
+    #[task(shared = [node, buffers, reporter], priority = 1)]
     async fn watch_suspension(mut context: watch_suspension::Context) {
-        let shared = &mut context.shared;
+        let watch_suspension::SharedResources { node, buffers, reporter, .. } = &mut context.shared;
+        let suspension = Subscriber::subscribe(&cluster::SUSPENSION, QUEUE, node, buffers);
         loop {
-            let event = context.local.suspension.next(&mut shared.node, &mut shared.reporter).await;
+            let event = suspension.next(node, reporter).await;
             defmt::trace!("{}", event.content);
         }
     }

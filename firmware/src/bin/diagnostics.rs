@@ -12,7 +12,7 @@ mod app {
     use cosmic_core::protocol::Rank;
     use cosmic_core::time::Duration;
     use firmware::application::{self, Publisher, Reporter, Subscriber};
-    use firmware::cluster::{self, BrakeForce, LogEntry, Suspension, WheelSpeed};
+    use firmware::cluster::{self, LogEntry, Suspension};
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::{Buffers, Node};
     use firmware::signals;
@@ -24,6 +24,9 @@ mod app {
     const SPEED: u16 = 1;
     const FORCE: u16 = 2;
     const LOGBOOK_PERIOD: Duration = Duration::from_millis(4);
+
+    /// For each subscription.
+    const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
 
     /// In the succession of time masters.
     const RANK: Rank = Rank::new(2).unwrap();
@@ -44,22 +47,12 @@ mod app {
         outcomes: OutcomeParts,
         other: OtherParts,
         inbox: Inbox,
-        suspension: Publisher<Suspension>,
-        logbook: Publisher<LogEntry>,
-        wheel_speed: Subscriber<WheelSpeed>,
-        brake_force: Subscriber<BrakeForce>,
     }
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
         let parts = start(context.device, cluster::DIAGNOSTICS, RANK, context.local.storage);
-        let Parts { calendar, urgent, outcomes, other, inbox, mut node, mut buffers, reporter } = parts;
-        let suspension = Publisher::announce(&cluster::SUSPENSION, &mut node, &mut buffers);
-        let logbook = Publisher::announce(&cluster::LOGBOOK, &mut node, &mut buffers);
-        let queue = Policy::Fifo(const { Depth::new(8).unwrap() });
-        let wheel_speed = Subscriber::subscribe(&cluster::WHEEL_SPEED, queue, &mut node, &mut buffers);
-        let brake_force = Subscriber::subscribe(&cluster::BRAKE_FORCE, queue, &mut node, &mut buffers);
-
+        let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
         let spawned = [
             calendar::spawn(),
             etch::spawn(),
@@ -73,7 +66,7 @@ mod app {
         defmt::assert!(spawned.iter().all(Result::is_ok));
         (
             Shared { buffers, node, reporter, seen: (SPEED, 0) },
-            Local { calendar, urgent, outcomes, other, inbox, suspension, logbook, wheel_speed, brake_force },
+            Local { calendar, urgent, outcomes, other, inbox },
         )
     }
 
@@ -107,54 +100,55 @@ mod app {
         application::report_exceptions(context.shared.node, context.shared.reporter).await
     }
 
-    #[task(local = [suspension], shared = [node, buffers, reporter], priority = 1)]
+    #[task(shared = [node, buffers, reporter], priority = 1)]
     async fn measure_suspension(mut context: measure_suspension::Context) {
-        let shared = &mut context.shared;
+        let measure_suspension::SharedResources { node, buffers, reporter, .. } = &mut context.shared;
+        let suspension = Publisher::announce(&cluster::SUSPENSION, node, buffers);
         let mut next = clock::now();
         let mut sequence = 0;
         loop {
             next = next + SUSPENSION_PERIOD;
             clock::delay_until(next).await;
             let (travel, velocity) = signals::suspension(sequence);
-            let content = Suspension { sequence, travel, velocity };
-            let publisher = &context.local.suspension;
-            publisher.publish(content, &mut shared.node, &mut shared.buffers, &mut shared.reporter);
+            suspension.publish(Suspension { sequence, travel, velocity }, node, buffers, reporter);
             sequence = sequence.wrapping_add(1);
         }
     }
 
     /// Logs what was observed last.
-    #[task(local = [logbook], shared = [node, buffers, reporter, seen], priority = 1)]
+    #[task(shared = [node, buffers, reporter, seen], priority = 1)]
     async fn write_logbook(mut context: write_logbook::Context) {
-        let shared = &mut context.shared;
+        let write_logbook::SharedResources { node, buffers, reporter, seen, .. } = &mut context.shared;
+        let logbook = Publisher::announce(&cluster::LOGBOOK, node, buffers);
         let mut next = clock::now();
         let mut sequence = 0;
         loop {
             next = next + LOGBOOK_PERIOD;
             clock::delay_until(next).await;
-            let (code, value) = shared.seen.lock(|seen| *seen);
-            let publisher = &context.local.logbook;
-            let content = LogEntry { sequence, code, value };
-            publisher.publish(content, &mut shared.node, &mut shared.buffers, &mut shared.reporter);
+            let (code, value) = seen.lock(|seen| *seen);
+            logbook.publish(LogEntry { sequence, code, value }, node, buffers, reporter);
             sequence = sequence.wrapping_add(1);
         }
     }
 
-    #[task(local = [wheel_speed], shared = [node, reporter, seen], priority = 1)]
+    #[task(shared = [node, buffers, reporter, seen], priority = 1)]
     async fn watch_wheel(mut context: watch_wheel::Context) {
-        let shared = &mut context.shared;
+        let watch_wheel::SharedResources { node, buffers, reporter, seen, .. } = &mut context.shared;
+        application::synchronised(node).await;
+        let wheel_speed = Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node, buffers);
         loop {
-            let event = context.local.wheel_speed.next(&mut shared.node, &mut shared.reporter).await;
-            shared.seen.lock(|seen| *seen = (SPEED, event.content.speed));
+            let event = wheel_speed.next(node, reporter).await;
+            seen.lock(|seen| *seen = (SPEED, event.content.speed));
         }
     }
 
-    #[task(local = [brake_force], shared = [node, reporter, seen], priority = 1)]
+    #[task(shared = [node, buffers, reporter, seen], priority = 1)]
     async fn watch_brake(mut context: watch_brake::Context) {
-        let shared = &mut context.shared;
+        let watch_brake::SharedResources { node, buffers, reporter, seen, .. } = &mut context.shared;
+        let brake_force = Subscriber::subscribe(&cluster::BRAKE_FORCE, QUEUE, node, buffers);
         loop {
-            let event = context.local.brake_force.next(&mut shared.node, &mut shared.reporter).await;
-            shared.seen.lock(|seen| *seen = (FORCE, event.content.force));
+            let event = brake_force.next(node, reporter).await;
+            seen.lock(|seen| *seen = (FORCE, event.content.force));
         }
     }
 }

@@ -11,7 +11,7 @@ mod app {
     use cosmic_core::protocol::Rank;
     use cosmic_core::time::Duration;
     use firmware::application::{self, Publisher, Reporter, Subscriber};
-    use firmware::cluster::{self, LogEntry, Temperature, WheelSpeed};
+    use firmware::cluster::{self, Temperature, WheelSpeed};
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::{Buffers, Node};
     use firmware::signals;
@@ -39,20 +39,12 @@ mod app {
         outcomes: OutcomeParts,
         other: OtherParts,
         inbox: Inbox,
-        wheel_speed: Publisher<WheelSpeed>,
-        temperature: Publisher<Temperature>,
-        logbook: Subscriber<LogEntry>,
     }
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
         let parts = start(context.device, cluster::SENSOR, RANK, context.local.storage);
-        let Parts { calendar, urgent, outcomes, other, inbox, mut node, mut buffers, reporter } = parts;
-        let wheel_speed = Publisher::announce(&cluster::WHEEL_SPEED, &mut node, &mut buffers);
-        let temperature = Publisher::announce(&cluster::TEMPERATURE, &mut node, &mut buffers);
-        let policy = Policy::Fifo(const { Depth::new(16).unwrap() });
-        let logbook = Subscriber::subscribe(&cluster::LOGBOOK, policy, &mut node, &mut buffers);
-
+        let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
         let spawned = [
             calendar::spawn(),
             etch::spawn(),
@@ -63,10 +55,7 @@ mod app {
         ];
         // Each task is spawned once, so there is room for it.
         defmt::assert!(spawned.iter().all(Result::is_ok));
-        (
-            Shared { buffers, node, reporter },
-            Local { calendar, urgent, outcomes, other, inbox, wheel_speed, temperature, logbook },
-        )
+        (Shared { buffers, node, reporter }, Local { calendar, urgent, outcomes, other, inbox })
     }
 
     #[task(local = [calendar], shared = [buffers], priority = 7)]
@@ -100,47 +89,45 @@ mod app {
     }
 
     /// One measurement for each slot of the calendar, shortly before it.
-    #[task(local = [wheel_speed], shared = [node, buffers, reporter], priority = 1)]
+    #[task(shared = [node, buffers, reporter], priority = 1)]
     async fn measure_wheel(mut context: measure_wheel::Context) {
-        let shared = &mut context.shared;
+        let measure_wheel::SharedResources { node, buffers, reporter, .. } = &mut context.shared;
         // What is published before the others know the time would be lost.
-        while !shared.node.lock(|node| node.clock().is_synchronised(clock::now())) {
-            clock::delay_until(clock::now() + cluster::SYNC.period).await;
-        }
+        application::synchronised(node).await;
         clock::delay_until(clock::now() + cluster::SETTLING).await;
+        let publisher = Publisher::announce(&cluster::WHEEL_SPEED, node, buffers);
         let mut sequence = 0;
         loop {
-            let slot = &cluster::WHEEL_SPEED_SLOT;
-            let next = shared.node.lock(|node| node.before_slot(slot, LEAD, clock::now()));
+            let next = node.lock(|node| node.before_slot(&cluster::WHEEL_SPEED_SLOT, LEAD, clock::now()));
             clock::delay_until(next).await;
-            let speed = signals::wheel_speed(sequence);
-            let content = WheelSpeed { sequence, speed, valid: true };
-            let publisher = &context.local.wheel_speed;
-            publisher.publish(content, &mut shared.node, &mut shared.buffers, &mut shared.reporter);
+            let content = WheelSpeed { sequence, speed: signals::wheel_speed(sequence), valid: true };
+            publisher.publish(content, node, buffers, reporter);
             sequence = sequence.wrapping_add(1);
         }
     }
 
-    #[task(local = [temperature], shared = [node, buffers, reporter], priority = 1)]
+    #[task(shared = [node, buffers, reporter], priority = 1)]
     async fn measure_temperature(mut context: measure_temperature::Context) {
-        let shared = &mut context.shared;
+        let measure_temperature::SharedResources { node, buffers, reporter, .. } = &mut context.shared;
+        let publisher = Publisher::announce(&cluster::TEMPERATURE, node, buffers);
         let mut next = clock::now();
         let mut sequence = 0;
         loop {
             next = next + TEMPERATURE_PERIOD;
             clock::delay_until(next).await;
             let content = Temperature { sequence, centidegrees: signals::disc_temperature(sequence) };
-            let publisher = &context.local.temperature;
-            publisher.publish(content, &mut shared.node, &mut shared.buffers, &mut shared.reporter);
+            publisher.publish(content, node, buffers, reporter);
             sequence = sequence.wrapping_add(1);
         }
     }
 
-    #[task(local = [logbook], shared = [node, reporter], priority = 1)]
+    #[task(shared = [node, buffers, reporter], priority = 1)]
     async fn keep_logbook(mut context: keep_logbook::Context) {
-        let shared = &mut context.shared;
+        let keep_logbook::SharedResources { node, buffers, reporter, .. } = &mut context.shared;
+        let policy = Policy::Fifo(const { Depth::new(16).unwrap() });
+        let logbook = Subscriber::subscribe(&cluster::LOGBOOK, policy, node, buffers);
         loop {
-            let entry = context.local.logbook.next(&mut shared.node, &mut shared.reporter).await;
+            let entry = logbook.next(node, reporter).await;
             defmt::debug!("node {}: {}", entry.publisher, entry.content);
         }
     }
