@@ -1,17 +1,9 @@
 //! Clock synchronisation: the sync message and its follow-up (Gergeleit and Streich).
 //!
-//! | message | etag | byte 0 | byte 1 | bytes 2..=3 | bytes 4..=7 |
-//! |---|---|---|---|---|---|
-//! | [`SyncMessage`] | 16 | sequence (4 bits), rank (4) | predecessor | accuracy in ns | calendar digest |
-//!
-//! | message | etag | byte 0 | bytes 1..=7 |
-//! |---|---|---|---|
-//! | [`FollowUp`] | 17 | sequence (4 bits), bits 59..56 of the instant | bits 55..0 of the instant |
-//!
 //! Both travel at the most urgent soft real-time priority, so that no load delays them for long; the
 //! sender stands in the TxNode field. A master sends a sync frame, reads its own clock when the frame
 //! has been sent, and tells that instant in the follow-up. The two belong together by their sequence
-//! number. Global time has 60 bits of nanoseconds on the wire: it restarts after 36 years.
+//! number.
 
 use crate::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use crate::time::{Duration, GlobalInstant};
@@ -63,7 +55,11 @@ impl SyncSequence {
     }
 }
 
-/// A frame whose end of transmission all nodes time-stamp. See the [module](self) for its bytes.
+/// A frame whose end of transmission all nodes time-stamp.
+///
+/// | byte 0 | byte 1 | bytes 2..=3 | bytes 4..=7 |
+/// |---|---|---|---|
+/// | sequence (4 bits), rank (4) | predecessor | accuracy in ns | calendar digest |
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SyncMessage {
@@ -110,7 +106,13 @@ impl SyncMessage {
     }
 }
 
-/// When a sync frame was sent, by its sender's clock. See the [module](self) for its bytes.
+/// When a sync frame was sent, by its sender's clock.
+///
+/// | byte 0 | bytes 1..=7 |
+/// |---|---|
+/// | sequence (4 bits), bits 59..56 of the instant | bits 55..0 of the instant |
+///
+/// Global time has 60 bits of nanoseconds on the wire: it restarts after 36 years.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FollowUp {

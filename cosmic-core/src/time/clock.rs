@@ -5,11 +5,6 @@
 //! the owner copies it to both halves of the node. It is a value: an old copy stays usable, its ε just
 //! grows.
 //!
-//! ```text
-//! global = reference.global + (local − reference.local) · (1 + rate)
-//! ε(t)   = error + rate error · t + ½ rate change · t²      t = |local − reference.local|
-//! ```
-//!
 //! All numbers are integers; a conversion is two to six multiplications of 32 bits, without division.
 
 use super::{Duration, GlobalInstant, Instant, Rate, RateChange, rate};
@@ -40,7 +35,12 @@ impl Uncertainty {
     pub const COMPLETE: Self = Self { error: Duration::MAX, valid_until: Instant::EPOCH, ..Self::NONE };
 }
 
-/// Global time as a function of local time. See the [module](self).
+/// Global time as a function of local time, with its accuracy.
+///
+/// ```text
+/// global = reference.global + (local − reference.local) · (1 + rate)
+/// ε(t)   = error + rate error · t + ½ rate change · t²      t = |local − reference.local|
+/// ```
 ///
 /// ```
 /// use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant, Rate, Uncertainty};
