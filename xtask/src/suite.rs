@@ -3,22 +3,33 @@
 use std::process::ExitCode;
 
 use anyhow::{Context as _, Result};
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use crate::build;
 use crate::demo;
 use crate::qemu;
 use crate::run::{self, step};
-use crate::setup;
+use crate::setup::{self, Tool};
 use crate::target::TargetWay;
 use crate::workspace::Workspace;
 
 /// Which tests to run.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Only the tests that need neither the Arm target nor an emulator.
-    #[arg(long)]
-    host: bool,
+    /// Only these; all if none is named.
+    #[arg(value_enum)]
+    parts: Vec<Part>,
+}
+
+/// Tests that run in one place.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
+enum Part {
+    /// On this machine: what needs neither the Arm target nor an emulator.
+    Host,
+    /// The firmware in the emulated cluster.
+    Emulated,
+    /// The core and RTIC in QEMU.
+    Qemu,
 }
 
 /// What some tests came to.
@@ -52,17 +63,21 @@ impl Tally {
     }
 }
 
-/// Runs all tests.
+/// Runs the tests that are asked for.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode> {
+    let parts = if options.parts.is_empty() { Part::value_variants() } else { &options.parts };
     let mut tally = Tally::default();
-    if options.host {
+    if parts.contains(&Part::Host) {
         tally.add(host(workspace));
-        return Ok(tally.conclude());
     }
-    let way = setup::prepare(&setup::EVERYTHING)?;
-    tally.add(host(workspace));
-    tally.add(emulated(workspace, &way));
-    tally.add(qemu::test(workspace, &way));
+    if parts.contains(&Part::Emulated) {
+        let way = setup::prepare(&setup::EMULATOR)?;
+        tally.add(emulated(workspace, &way));
+    }
+    if parts.contains(&Part::Qemu) {
+        let way = setup::prepare(&[Tool::Qemu])?;
+        tally.add(qemu::test(workspace, &way));
+    }
     Ok(tally.conclude())
 }
 
