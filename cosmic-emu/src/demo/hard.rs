@@ -182,13 +182,19 @@ impl Judge<'_> {
         let sequence = carried.and_then(|frame| sequence_of(&frame));
         let mut occurrence =
             Occurrence { slot, window, attempts, faulted, sequence, fate: Fate::Settling };
-        if self.settled_at.is_some_and(|settled| window.ready > settled) {
+        if self.is_judged(slot, &window) {
             occurrence.fate = match sequence {
                 None => self.empty(&occurrence, slots),
                 Some(sequence) => self.carried(&occurrence, sequence, slots),
             };
         }
         occurrence
+    }
+
+    /// A node that was not synchronised spoke of slots at instants of its own, so the first whole period
+    /// behind the settling time is left out.
+    fn is_judged(&self, slot: &Slot, window: &Window) -> bool {
+        self.settled_at.is_some_and(|settled| window.ready > settled + slot.period)
     }
 
     /// The attempts to send the slot's frame that started in its window; early or late by ε.

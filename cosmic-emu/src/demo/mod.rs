@@ -22,3 +22,5 @@ pub mod order;
 pub mod record;
 pub mod span;
 pub mod verdict;
+pub mod report;
+pub mod table;

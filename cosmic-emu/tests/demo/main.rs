@@ -1,0 +1,194 @@
+//! The judge of the demonstration, on runs of the core on the host: it must see what went wrong, and nothing
+//! else.
+
+mod host_cluster;
+
+use cosmic_bus::{BitPosition, Bus, Chance, Fault, FaultModel, Filter, Rule, VirtualInstant};
+use cosmic_core::can::{Etag, Id, Priority, TxNode};
+use cosmic_core::event_layer::ExceptionKind;
+use cosmic_emu::demo::example::EXAMPLE;
+use cosmic_emu::demo::hard::Fate;
+use cosmic_emu::demo::journal::Journal;
+use cosmic_emu::demo::record::RecordKind;
+use cosmic_emu::demo::report::{Report, Settings};
+use cosmic_emu::demo::table::{Style, Tables, WIDTH};
+use cosmic_emu::demo::verdict::{Loss, Verdict, Violation};
+use embedded_can::ExtendedId;
+use host_cluster::Run;
+
+const SETTINGS: Settings =
+    Settings { seconds: 1.0, seed: 1, load_percent: 0.0, error_rate: 0.0, burst: 0 };
+
+fn wheel() -> Etag {
+    EXAMPLE.channels[0].etag
+}
+
+fn brake() -> TxNode {
+    EXAMPLE.nodes[1].tx_node
+}
+
+fn at_ms(ms: u64) -> VirtualInstant {
+    VirtualInstant::from_ticks(ms * 1_000_000)
+}
+
+/// Destroys the next attempts to send the wheel speed, near their ends.
+fn burst(bus: &mut Bus, count: u32) {
+    let slot = EXAMPLE.calendar.slots()[0];
+    let id = Id::new(Priority::HARD, slot.publisher, slot.etag);
+    let frames = Filter::exactly(ExtendedId::new(id.raw()).unwrap().into());
+    let fault = Fault::Inverted(BitPosition::FromEnd(12));
+    bus.faults_mut().add_rule(Rule { frames, skip: 0, count, fault });
+}
+
+fn summary(journal: &Journal, verdict: &Verdict) -> String {
+    let report = Report::of(SETTINGS, journal, verdict);
+    Tables { report: &report, style: Style::Plain }.to_string()
+}
+
+#[test]
+fn a_quiet_run_passes_and_every_slot_is_seen() {
+    let journal = Run::quiet(1_000).journal();
+    let verdict = Verdict::of(&journal);
+    let text = summary(&journal, &verdict);
+    assert!(verdict.is_passed(), "{text}");
+    let settled = verdict.slots.settled_at.unwrap();
+    assert!(settled < at_ms(600), "{settled}");
+    let judged: Vec<_> = verdict.slots.occurrences.iter().filter(|it| it.fate != Fate::Settling).collect();
+    assert!(judged.len() > 40, "{}", judged.len());
+    assert!(judged.iter().all(|it| it.fate == Fate::Delivered && it.attempts.len() == 1), "{text}");
+    // ε of a settled node is far below the calendar's.
+    let off = verdict.slots.deviation.range().unwrap();
+    assert!(off.max.as_micros() < 10.0 && off.min.as_micros() > -10.0, "{text}");
+    // 1 ms periods in a second, from 8 ms on.
+    let suspension = &verdict.tallies[3];
+    assert!((985..=993).contains(&suspension.published), "{}", suspension.published);
+    assert_eq!((suspension.missed, suspension.expired), (0, 0));
+}
+
+#[test]
+fn faults_within_the_omission_degree_change_no_delivery_instant() {
+    let faults = FaultModel::seeded(11).with_inversion(Chance::new(0.01).unwrap());
+    let journal = Run { faults, load_interval: 180, ..Run::quiet(3_000) }.journal();
+    let verdict = Verdict::of(&journal);
+    let text = summary(&journal, &verdict);
+    let faulted = verdict.slots.occurrences.iter().filter(|it| it.fate == Fate::Delivered && it.faulted == 1);
+    assert!(faulted.count() > 0, "{text}");
+    assert!(verdict.is_passed(), "{text}");
+    assert!(verdict.order.contests > 0, "{text}");
+}
+
+#[test]
+fn a_loss_beyond_the_omission_degree_is_lost_and_reported() {
+    let meddle: Vec<(_, fn(&mut Bus))> = vec![(at_ms(700), |bus| burst(bus, 6))];
+    let journal = Run { meddle, ..Run::quiet(1_000) }.journal();
+    let verdict = Verdict::of(&journal);
+    let text = summary(&journal, &verdict);
+    let lost: Vec<_> = verdict.slots.occurrences.iter().filter(|it| it.fate == Fate::Lost).collect();
+    assert!(!lost.is_empty() && lost.iter().all(|it| it.faulted > 1), "{text}");
+    let count = |node, kind| verdict.ledger.count(node, wheel(), kind);
+    assert_eq!(count(EXAMPLE.nodes[0].tx_node, ExceptionKind::OmissionDegreeExceeded), lost.len());
+    assert_eq!(count(brake(), ExceptionKind::MissedEvent), lost.len());
+    assert!(verdict.is_passed(), "{text}");
+    assert!(text.contains("omission degree exceeded") && text.contains("missed event"), "{text}");
+}
+
+/// Removes records of a passing run; the judge must miss them.
+fn without(keep: impl Fn(&TxNode, &RecordKind, Option<Etag>) -> bool) -> Verdict {
+    let meddle: Vec<(_, fn(&mut Bus))> = vec![(at_ms(700), |bus| burst(bus, 6))];
+    let mut journal = Run { meddle, ..Run::quiet(1_000) }.journal();
+    assert!(Verdict::of(&journal).is_passed());
+    journal.records.retain(|(node, record)| keep(node, &record.kind, record.etag));
+    Verdict::of(&journal)
+}
+
+#[test]
+fn silence_at_the_publisher_is_found() {
+    let told = RecordKind::Exception(ExceptionKind::OmissionDegreeExceeded);
+    let verdict = without(|_, kind, _| *kind != told);
+    let expected = |it: &Violation| {
+        matches!(it, Violation::Silence { kind: ExceptionKind::OmissionDegreeExceeded, .. })
+    };
+    assert!(!verdict.violations.is_empty() && verdict.violations.iter().all(expected), "{:?}", verdict.violations);
+}
+
+#[test]
+fn silence_at_a_subscriber_is_found() {
+    let verdict = without(|node, kind, _| {
+        *node != brake() || *kind != RecordKind::Exception(ExceptionKind::MissedEvent)
+    });
+    let expected = |it: &Violation| {
+        matches!(it, Violation::Silence { node, kind: ExceptionKind::MissedEvent, .. } if *node == brake())
+    };
+    assert!(!verdict.violations.is_empty() && verdict.violations.iter().all(expected), "{:?}", verdict.violations);
+}
+
+#[test]
+fn a_hard_event_that_is_not_delivered_is_found() {
+    let verdict = without(|node, kind, etag| {
+        let gone = matches!(kind, RecordKind::Delivered { sequence: 90, .. });
+        !(gone && etag == Some(wheel()) && *node == brake())
+    });
+    assert!(
+        matches!(verdict.violations.as_slice(), [Violation::NotDelivered { faulted: 0, .. }]),
+        "{:?}",
+        verdict.violations
+    );
+}
+
+#[test]
+fn a_soft_event_that_vanishes_is_found() {
+    let suspension = EXAMPLE.channels[3].etag;
+    let verdict = without(|_, kind, etag| {
+        !(matches!(kind, RecordKind::Delivered { sequence: 500, .. }) && etag == Some(suspension))
+    });
+    let [Violation::Unreported { what: Loss::Undelivered, lost: 1, reported: 0, .. }] =
+        verdict.violations.as_slice()
+    else {
+        panic!("{:?}", verdict.violations);
+    };
+}
+
+#[test]
+fn a_missing_record_is_found() {
+    let verdict = without(|_, kind, etag| {
+        !(matches!(kind, RecordKind::Published { sequence: 500 }) && etag == Some(EXAMPLE.channels[3].etag))
+    });
+    let lost = |it: &Violation| matches!(it, Violation::RecordsLost { count: 1, .. });
+    assert!(verdict.violations.iter().any(lost), "{:?}", verdict.violations);
+}
+
+#[test]
+fn a_delivery_off_its_instant_is_found() {
+    let mut journal = Run::quiet(1_000).journal();
+    for (node, record) in &mut journal.records {
+        if let RecordKind::Delivered { sequence: 90, visible_at, .. } = &mut record.kind
+            && *node == brake()
+            && record.etag == Some(wheel())
+        {
+            *visible_at = visible_at.offset_by(90_000);
+        }
+    }
+    let verdict = Verdict::of(&journal);
+    let [Violation::OffInstant { off, .. }] = verdict.violations.as_slice() else {
+        panic!("{:?}", verdict.violations);
+    };
+    assert!((85.0..105.0).contains(&off.as_micros()), "{off}");
+}
+
+#[test]
+fn a_run_that_ends_before_the_clocks_agree_does_not_pass() {
+    let verdict = Verdict::of(&Run::quiet(250).journal());
+    assert!(verdict.violations.contains(&Violation::NeverSettled));
+}
+
+#[test]
+fn tables_fit_their_width() {
+    let faults = FaultModel::seeded(11).with_inversion(Chance::new(0.02).unwrap());
+    let journal = Run { faults, load_interval: 120, ..Run::quiet(1_500) }.journal();
+    let text = summary(&journal, &Verdict::of(&journal));
+    println!("{text}");
+    for line in text.lines() {
+        assert!(line.chars().count() <= WIDTH, "{} columns: {line}", line.chars().count());
+    }
+    assert!(!text.contains('\x1b'));
+}
