@@ -3,7 +3,7 @@
 
 use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::protocol::*;
-use cosmic_core::time::Duration;
+use cosmic_core::time::{Duration, GlobalInstant};
 use cosmic_core::{NodeUid, Subject};
 use proptest::prelude::*;
 
@@ -210,6 +210,23 @@ fn membership_examples() -> Vec<Example> {
     ]
 }
 
+/// Clock synchronisation has its own tests; here it is for the table.
+fn sync_examples() -> [(&'static str, Frame); 2] {
+    let sync = SyncMessage {
+        sequence: SyncSequence::new(9),
+        rank: Rank::FIRST,
+        predecessor: NODE,
+        accuracy: Duration::from_ticks(0),
+        calendar_digest: 0xDEAD_BEEF,
+    };
+    let sent_at = GlobalInstant::from_epoch(Duration::from_secs(1));
+    let follow_up = FollowUp { sequence: sync.sequence, sent_at };
+    [
+        ("Sync: number 9 of the first master, calendar DEADBEEF", sync.encode(NODE)),
+        ("Follow-up: sync number 9 was sent at 1.000000000 s", follow_up.encode(NODE)),
+    ]
+}
+
 fn as_candump(frame: &Frame) -> String {
     let data: String = frame.payload.as_slice().iter().map(|byte| format!("{byte:02X}")).collect();
     format!("{:08X}#{data}", frame.id.raw())
@@ -288,8 +305,9 @@ fn old_clients_ignore_what_is_new() {
 fn the_manual_has_the_table() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/protocol.md");
     let mut table = String::from("\n| message | frame |\n|---|---|\n");
-    for Example { says, message, .. } in examples() {
-        table += &format!("| {says} | `{}` |\n", as_candump(&message.encode()));
+    let rows = examples().into_iter().map(|Example { says, message, .. }| (says, message.encode()));
+    for (says, frame) in rows.chain(sync_examples()) {
+        table += &format!("| {says} | `{}` |\n", as_candump(&frame));
     }
     let manual = std::fs::read_to_string(path).unwrap();
     let (head, rest) =

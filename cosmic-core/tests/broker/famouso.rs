@@ -229,8 +229,8 @@ fn an_old_client_that_dies_does_not_block_the_others() {
     ether.add(Node::fixed(ether.now, 0xB0, 1, 1).hosting(Nodes::new(), Subjects::new()));
     ether.run_until(SECOND, |ether| ether.node(0).role() == Role::Active);
     ether.run(Duration::from_millis(10));
-    let dying = ether.add(OldClient::new(0x1000, 1));
-    ether.add(OldClient::new(0x2000, 1));
+    let dying = ether.add(OldClient::new(0x1000_0000_0000_0000, 1));
+    ether.add(OldClient::new(0x2000_0000_0000_0000, 1));
     ether.log.clear();
     ether.run_until(SECOND, |ether| ether.log.len() >= 9);
     ether.kill(dying);
@@ -255,6 +255,20 @@ fn a_standby_takes_over_from_the_old_broker_when_that_no_longer_answers() {
     ether.run_until(SECOND * 5, |ether| all_names(ether, 1).is_some());
     assert_eq!(ether.node(standby).role(), Role::Active);
     assert_unique(&ether, 1);
+}
+
+#[test]
+fn a_standby_knows_the_ids_of_old_clients() {
+    let mut ether = Ether::new(4);
+    ether.add(Node::fixed(ether.now, 0xB0, 1, 1).hosting(Nodes::new(), Subjects::new()));
+    let standby = ether.add(Node::fixed(ether.now, 0xB1, 2, 1).hosting(Nodes::new(), Subjects::new()));
+    ether.run_until(SECOND * 2, |ether| ether.node(standby).role() == Role::Standby);
+    ether.add(OldClient::new(0x1234, 1));
+    ether.run_until(SECOND, |ether| all_names(ether, 1).is_some());
+    let mirror = ether.node(standby).broker.as_ref().unwrap();
+    let (id, etag) = ether.old_names().next().unwrap();
+    assert_eq!(mirror.nodes().uid_of(tx_node(id.unwrap())), Some(uid(0x1234)));
+    assert_eq!(mirror.subjects().etag_of(subject(1)).map(Etag::get), etag);
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! Configuration and binding on a whole cluster: clients and brokers under the faults that we can name.
 
+mod brokers;
+mod clients;
 mod ether;
 mod famouso;
 mod robustness;

@@ -1,0 +1,222 @@
+//! The broker alone, frame by frame.
+
+use cosmic_core::broker::*;
+use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
+use cosmic_core::protocol::*;
+use cosmic_core::time::{Duration, Instant};
+
+use crate::ether::{subject, tx_node, uid};
+
+const TIMING: BrokerTiming = BrokerTiming::DEFAULT;
+const HOST: u8 = 1;
+
+type SmallBroker = Broker<2, 2>;
+
+fn at(milliseconds: u64) -> Instant {
+    Instant::from_epoch(Duration::from_millis(milliseconds))
+}
+
+fn frames(broker: &mut SmallBroker, now: Instant) -> Vec<Frame> {
+    let outputs = core::iter::from_fn(|| broker.poll(now));
+    let sent = outputs.filter_map(|output| match output {
+        Output::Send(frame) => Some(frame),
+        Output::Withdraw(_) | Output::Event(_) => None,
+    });
+    sent.collect()
+}
+
+fn probe() -> Frame {
+    Probe { tx_node: tx_node(HOST) }.encode()
+}
+
+fn status(of: u64, id: u8) -> Frame {
+    BrokerStatus { tx_node: tx_node(id), uid: uid(of) }.encode()
+}
+
+fn listening() -> SmallBroker {
+    let mut broker = Broker::new(uid(0xB1), TIMING, Nodes::new(), Subjects::new());
+    assert_eq!((broker.role(), broker.poll(at(0)), broker.next_wakeup()), (Role::Off, None, None));
+    broker.set_tx_node(at(0), Some(tx_node(HOST)));
+    broker
+}
+
+/// A broker that becomes active at 302 ms, after it has heard `heard`.
+fn active(heard: &[Frame]) -> SmallBroker {
+    let mut broker = listening();
+    for frame in heard {
+        broker.on_frame(at(10), frame);
+    }
+    let sent: Vec<Frame> = (0..=302).flat_map(|now| frames(&mut broker, at(now))).collect();
+    let restart = ConfigurationReply::Restart.encode();
+    assert_eq!(sent, [probe(), probe(), probe(), status(0xB1, HOST), restart]);
+    assert_eq!(broker.role(), Role::Active);
+    broker
+}
+
+fn search(broker: &mut SmallBroker, now: Instant, of: u64) -> Vec<Frame> {
+    let stages = (0..16).rev().map(|stage| Stage::new(stage).unwrap());
+    stages.for_each(|stage| broker.on_frame(now, &ConfigurationRequest::new(uid(of), stage).encode()));
+    frames(broker, now)
+}
+
+fn get(broker: &mut SmallBroker, now: Instant, of: u64) -> Vec<Frame> {
+    broker.on_frame(now, &GetEtag { requester: tx_node(9), subject: subject(of) }.encode());
+    frames(broker, now)
+}
+
+fn supply(sender: TxNode, of: u64, answer: Answer) -> [Frame; 2] {
+    SupplyEtag::pair(sender, tx_node(9), subject(of), answer).map(|half| half.encode())
+}
+
+const TOP: Etag = Etag::BOUND_LAST;
+const BELOW: Etag = Etag::new(0x3FFE).unwrap();
+
+#[test]
+fn a_search_and_its_refusal() {
+    let mut broker = active(&[]);
+    let now = at(310);
+    let replies = search(&mut broker, now, 0x77);
+    assert_eq!(replies.len(), 16);
+    let assigned = ConfigurationReply::Assigned { uid: uid(0x77), tx_node: TxNode::MAX };
+    assert_eq!(replies[15], assigned.encode());
+    assert_eq!(search(&mut broker, now, 0x77)[15], assigned.encode(), "it keeps its id");
+    assert_eq!(search(&mut broker, now, 0x78).len(), 16);
+    assert_eq!(search(&mut broker, now, 0x79)[15], ConfigurationRefusal { uid: uid(0x79) }.encode());
+    assert_eq!(broker.counters().no_id_left, 1);
+    // Those that do not know a refusal are freed after a pause.
+    let mut later = (0..1100).map(|more| at(310 + more));
+    let restart = later.find(|now| frames(&mut broker, *now).contains(&ConfigurationReply::Restart.encode()));
+    assert_eq!(restart, Some(now + TIMING.silence));
+    assert!(broker.release_node(uid(0x77)) && !broker.release_node(uid(0x77)));
+    let assigned = ConfigurationReply::Assigned { uid: uid(0x79), tx_node: TxNode::MAX };
+    assert_eq!(search(&mut broker, at(1400), 0x79)[15], assigned.encode());
+}
+
+#[test]
+fn bindings_and_their_refusal() {
+    let mut broker = active(&[]);
+    let now = at(310);
+    assert_eq!(get(&mut broker, now, 1), supply(TxNode::BROKER, 1, Answer::Bound(TOP)));
+    assert_eq!(get(&mut broker, now, 2), supply(TxNode::BROKER, 2, Answer::Bound(BELOW)));
+    assert_eq!(get(&mut broker, now, 1), supply(TxNode::BROKER, 1, Answer::Bound(TOP)));
+    assert_eq!(get(&mut broker, now, 3), supply(TxNode::BROKER, 3, Answer::Refused));
+    assert_eq!(broker.counters().no_etag_left, 1);
+}
+
+#[test]
+fn names_whose_use_is_heard_are_not_handed_out() {
+    let event = Frame::new(Id::new(Priority::new(9), TxNode::MAX, TOP), Payload::EMPTY);
+    let mut broker = active(&[event]);
+    let reply = ConfigurationReply::decode(&search(&mut broker, at(310), 0x77)[15]);
+    assert_eq!(reply, Some(ConfigurationReply::Assigned { uid: uid(0x77), tx_node: tx_node(0x7D) }));
+    assert_eq!(get(&mut broker, at(310), 1), supply(TxNode::BROKER, 1, Answer::Bound(BELOW)));
+    // An interest is a use, too.
+    let (etag, side) = (TOP, Side::Publisher);
+    let (layout, lease) = (LayoutHash::UNSTATED, Lease::MIN);
+    let interest = Interest { tx_node: tx_node(3), etag, side, class: Class::Soft, layout, lease };
+    let mut broker = active(&[interest.encode()]);
+    assert_eq!(get(&mut broker, at(310), 1), supply(TxNode::BROKER, 1, Answer::Bound(BELOW)));
+}
+
+#[test]
+fn a_search_that_nobody_continues_is_given_up() {
+    let mut broker = active(&[]);
+    broker.on_frame(at(310), &ConfigurationRequest::new(uid(7), Stage::FIRST).encode());
+    let _ = frames(&mut broker, at(310));
+    assert!(!frames(&mut broker, at(559)).contains(&ConfigurationReply::Restart.encode()));
+    assert!(frames(&mut broker, at(560)).contains(&ConfigurationReply::Restart.encode()));
+    assert_eq!(broker.counters().searches_given_up, 1);
+}
+
+#[test]
+fn more_requests_than_replies_fit_are_counted() {
+    let mut broker = active(&[]);
+    for _ in 0..20 {
+        broker.on_frame(at(310), &GetEtag { requester: tx_node(9), subject: subject(1) }.encode());
+    }
+    let sent = frames(&mut broker, at(310)).len();
+    assert_eq!(sent % 2, 0, "no half goes alone");
+    assert_eq!(usize::from(broker.counters().replies_dropped), 20 - sent / 2);
+}
+
+#[test]
+fn a_node_that_uses_a_wrong_etag_is_told_the_right_one() {
+    let mut broker = active(&[]);
+    assert_eq!(get(&mut broker, at(310), 1), supply(TxNode::BROKER, 1, Answer::Bound(TOP)));
+    let mut claim = |of, etag| {
+        supply(tx_node(9), of, Answer::Bound(etag)).iter().for_each(|half| broker.on_frame(at(311), half));
+        frames(&mut broker, at(311))
+    };
+    assert_eq!(claim(1, TOP), [], "that is right");
+    assert_eq!(claim(1, BELOW), supply(TxNode::BROKER, 1, Answer::Bound(TOP)));
+    assert_eq!(claim(2, TOP), supply(TxNode::BROKER, 2, Answer::Bound(BELOW)), "it belongs to subject 1");
+    assert_eq!(claim(2, BELOW), []);
+    assert_eq!(broker.counters().contradictions, 2);
+}
+
+#[test]
+fn the_lower_uid_stays_active() {
+    let mut broker = active(&[]);
+    let _ = frames(&mut broker, at(400));
+    broker.on_frame(at(400), &status(0xB2, 2));
+    assert_eq!(frames(&mut broker, at(400)), [status(0xB1, HOST)], "it tells the other at once");
+    assert!(frames(&mut broker, at(700)).contains(&probe()), "and compares its table");
+    broker.on_frame(at(710), &status(0xB0, 3));
+    assert_eq!(broker.role(), Role::Standby);
+    assert_eq!(frames(&mut broker, at(710)), [probe()]);
+    assert_eq!(get(&mut broker, at(711), 1), [], "a standby does not answer");
+}
+
+#[test]
+fn a_standby_waits_the_longer_the_higher_its_id_is() {
+    for id in [1, 100] {
+        let mut broker = listening();
+        broker.set_tx_node(at(0), Some(tx_node(id)));
+        broker.on_frame(at(5), &status(0xC0, 3));
+        let _ = frames(&mut broker, at(5));
+        broker.on_frame(at(200), &status(0xC0, 3));
+        let takeover = at(200) + TIMING.silence + TIMING.rank_step * u32::from(id);
+        assert_eq!(broker.next_wakeup(), Some(takeover));
+        let _ = frames(&mut broker, takeover.saturating_sub(Duration::from_ticks(1)));
+        assert_eq!(broker.role(), Role::Standby);
+        let _ = frames(&mut broker, takeover);
+        assert_eq!(broker.role(), Role::Active);
+    }
+}
+
+#[test]
+fn beside_the_old_broker_only_a_request_without_an_answer_counts() {
+    let mut broker = listening();
+    let reply = ConfigurationReply::Assigned { uid: uid(5), tx_node: tx_node(0x7D) };
+    broker.on_frame(at(5), &reply.encode());
+    assert_eq!(broker.role(), Role::Standby);
+    let _ = frames(&mut broker, at(100_000));
+    assert_eq!(broker.role(), Role::Standby);
+    assert_eq!(get(&mut broker, at(100_001), 1), []);
+    supply(TxNode::BROKER, 1, Answer::Bound(TOP)).iter().for_each(|half| broker.on_frame(at(100_002), half));
+    let _ = frames(&mut broker, at(200_000));
+    assert_eq!(broker.role(), Role::Standby, "it was answered");
+    assert_eq!(get(&mut broker, at(200_001), 2), []);
+    let _ = frames(&mut broker, at(201_003));
+    assert_eq!(broker.role(), Role::Active);
+    assert_eq!(broker.nodes().uid_of(tx_node(0x7D)), Some(uid(5)));
+    assert_eq!(broker.subjects().etag_of(subject(1)), Some(TOP));
+}
+
+#[test]
+fn a_broker_whose_node_loses_its_id_is_off() {
+    let mut broker = active(&[]);
+    broker.set_tx_node(at(400), None);
+    assert_eq!(get(&mut broker, at(400), 1), []);
+    assert_eq!((broker.role(), broker.next_wakeup()), (Role::Off, None));
+}
+
+#[test]
+fn zero_is_no_uid() {
+    let mut broker = active(&[]);
+    for stage in (0..16).rev() {
+        let id = 0x7D << 22 | stage << 18 | 1; // nibble 0
+        broker.on_frame(at(310), &Frame::new(Id::from_raw(id).unwrap(), Payload::EMPTY));
+    }
+    assert_eq!(frames(&mut broker, at(310)).last(), Some(&ConfigurationReply::Restart.encode()));
+}

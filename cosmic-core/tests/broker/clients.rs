@@ -1,0 +1,299 @@
+//! The clients alone, frame by frame.
+
+use cosmic_core::broker::*;
+use cosmic_core::can::{Etag, Frame, TxNode};
+use cosmic_core::protocol::*;
+use cosmic_core::time::{Duration, Instant};
+
+use crate::ether::{subject, tx_node, uid};
+
+const TIMING: ConfigurationTiming = ConfigurationTiming::DEFAULT;
+
+fn at(milliseconds: u64) -> Instant {
+    Instant::from_epoch(Duration::from_millis(milliseconds))
+}
+
+fn stage(stage: u8) -> Stage {
+    Stage::new(stage).unwrap()
+}
+
+fn request(of: u64, at: u8) -> Frame {
+    ConfigurationRequest::new(uid(of), stage(at)).encode()
+}
+
+fn prefix(of: u64, at: u8) -> Frame {
+    ConfigurationReply::Prefix(Prefix::new(of, stage(at)).unwrap()).encode()
+}
+
+fn assigned(of: u64, id: u8) -> Frame {
+    ConfigurationReply::Assigned { uid: uid(of), tx_node: tx_node(id) }.encode()
+}
+
+fn outputs(client: &mut Configuration, now: Instant) -> Vec<Output<ConfigurationEvent>> {
+    core::iter::from_fn(|| client.poll(now)).collect()
+}
+
+const UID: u64 = 0x1234_0000_0000_0000;
+
+/// A client whose first request is out.
+fn asking() -> (Configuration, Instant) {
+    let mut client = Configuration::new(at(0), uid(UID), 0, TIMING);
+    let now = client.next_wakeup().unwrap();
+    assert!(now < at(0) + TIMING.reply);
+    assert_eq!(outputs(&mut client, now), [Output::Send(request(UID, 15))]);
+    (client, now)
+}
+
+/// A client that has got the id 9.
+fn configured() -> (Configuration, Instant) {
+    let (mut client, mut now) = asking();
+    client.on_frame(now, &assigned(UID, 9));
+    let mut all = Vec::new();
+    while client.tx_node().is_none() {
+        now = client.next_wakeup().unwrap();
+        all.extend(outputs(&mut client, now));
+    }
+    let identity = Output::Send(NodeIdentity { tx_node: tx_node(9), uid: uid(UID) }.encode());
+    let event = Output::Event(ConfigurationEvent::Configured(tx_node(9)));
+    // The answer to another's request made our own one void.
+    assert_eq!(all, [Output::Withdraw(request(UID, 15)), identity, identity, event]);
+    (client, now)
+}
+
+#[test]
+fn a_node_goes_on_with_its_prefix_and_withdraws_when_it_has_lost() {
+    let (mut client, now) = asking();
+    client.on_frame(now, &prefix(UID, 15));
+    let next = [Output::Withdraw(request(UID, 15)), Output::Send(request(UID, 14))];
+    assert_eq!(outputs(&mut client, now), next);
+    client.on_frame(now, &prefix(UID, 15));
+    assert_eq!(outputs(&mut client, now), [], "the same reply again");
+    client.on_frame(now, &prefix(0x1100_0000_0000_0000, 14));
+    assert_eq!(outputs(&mut client, now), [Output::Withdraw(request(UID, 14))]);
+    // The end of the other's search is the start of ours.
+    client.on_frame(now, &assigned(0x1100_0000_0000_0000, 7));
+    assert_eq!(outputs(&mut client, now), [Output::Send(request(UID, 15))]);
+}
+
+#[test]
+fn a_node_that_has_lost_begins_again_when_the_bus_falls_silent() {
+    let (mut client, now) = asking();
+    client.on_frame(now, &prefix(0x0100_0000_0000_0000, 15));
+    let _ = outputs(&mut client, now);
+    let wakeup = client.next_wakeup().unwrap();
+    assert_eq!(wakeup, now + TIMING.search);
+    assert_eq!(outputs(&mut client, wakeup), [Output::Send(request(UID, 15))]);
+}
+
+#[test]
+fn a_request_that_nobody_has_fetched_is_not_withdrawn_but_dropped() {
+    let (mut client, now) = asking();
+    client.on_frame(now, &prefix(UID, 15));
+    client.on_frame(now, &prefix(0x1100_0000_0000_0000, 14));
+    assert_eq!(outputs(&mut client, now), [Output::Withdraw(request(UID, 15))]);
+}
+
+#[test]
+fn without_an_answer_a_node_asks_less_and_less_often() {
+    let (mut client, mut now) = asking();
+    let mut sent = vec![now];
+    while sent.len() < 60 {
+        now = client.next_wakeup().unwrap();
+        sent.extend(
+            outputs(&mut client, now).iter().filter(|out| matches!(out, Output::Send(_))).map(|_| now),
+        );
+    }
+    // Three tries for each pause.
+    assert_eq!(sent[1].saturating_since(sent[0]), TIMING.reply);
+    let pauses: Vec<Duration> =
+        sent.chunks(3).zip(sent.chunks(3).skip(1)).map(|(a, b)| b[0].saturating_since(a[2])).collect();
+    assert!(pauses[0] < TIMING.back_off * 2);
+    let longest = TIMING.longest_back_off + TIMING.longest_back_off + TIMING.reply * 16;
+    assert!(pauses.iter().all(|pause| *pause < longest));
+    assert!(pauses[10..].iter().all(|pause| *pause > TIMING.longest_back_off.min(Duration::from_secs(1))));
+}
+
+#[test]
+fn a_refused_node_pauses() {
+    let (mut client, now) = asking();
+    client.on_frame(now, &ConfigurationRefusal { uid: uid(UID) }.encode());
+    let refused = [Output::Withdraw(request(UID, 15)), Output::Event(ConfigurationEvent::Refused)];
+    assert_eq!(outputs(&mut client, now), refused);
+    // It takes no part in the searches of others meanwhile.
+    client.on_frame(now, &prefix(UID, 15));
+    assert_eq!(outputs(&mut client, now), []);
+    assert!(client.next_wakeup().unwrap() > now + Duration::from_millis(900));
+}
+
+#[test]
+fn a_node_defends_its_id_and_yields_only_to_one_that_stays() {
+    let (mut client, now) = configured();
+    let mine = Output::Send(NodeIdentity { tx_node: tx_node(9), uid: uid(UID) }.encode());
+    let theirs = NodeIdentity { tx_node: tx_node(9), uid: uid(5) }.encode();
+    let conflict = ConfigurationEvent::Conflict { tx_node: tx_node(9), other: Some(uid(5)) };
+    client.on_frame(now, &theirs);
+    assert_eq!(outputs(&mut client, now), [Output::Event(conflict), mine]);
+    client.on_frame(now, &theirs);
+    assert_eq!(outputs(&mut client, now), [mine], "told once");
+    client.on_frame(now, &theirs);
+    assert_eq!(outputs(&mut client, now), [Output::Event(ConfigurationEvent::Lost(tx_node(9)))]);
+    assert_eq!(client.tx_node(), None);
+}
+
+#[test]
+fn the_lower_uid_stays_and_conflicts_that_are_rare_are_forgotten() {
+    let (mut client, mut now) = configured();
+    let higher = NodeIdentity { tx_node: tx_node(9), uid: uid(UID + 1) }.encode();
+    let lower = NodeIdentity { tx_node: tx_node(9), uid: uid(5) }.encode();
+    for _ in 0..10 {
+        client.on_frame(now, &higher);
+        now = now + TIMING.conflict;
+        client.on_frame(now, &lower);
+        now = now + TIMING.conflict;
+        let _ = outputs(&mut client, now);
+    }
+    assert_eq!(client.tx_node(), Some(tx_node(9)));
+}
+
+#[test]
+fn any_frame_with_its_id_is_a_conflict_but_configuration_is_not() {
+    let (mut client, now) = configured();
+    // Stage 0, nibble 9: the TxNode field happens to be 9.
+    client.on_frame(now, &request(9, 0));
+    assert_eq!(outputs(&mut client, now), []);
+    client.on_frame(now, &NodeStatus::first(tx_node(9), NodeState::Operational).encode());
+    let conflict = ConfigurationEvent::Conflict { tx_node: tx_node(9), other: None };
+    let identity = NodeIdentity { tx_node: tx_node(9), uid: uid(UID) }.encode();
+    assert_eq!(outputs(&mut client, now), [Output::Event(conflict), Output::Send(identity)]);
+}
+
+#[test]
+fn a_second_node_with_our_uid_is_told_of() {
+    let (mut client, now) = configured();
+    client.on_frame(now, &assigned(UID, 9));
+    assert_eq!(outputs(&mut client, now), [], "it may be the reply to our own request, repeated");
+    let later = now + Duration::from_secs(5);
+    client.on_frame(later, &assigned(UID, 9));
+    let conflict = ConfigurationEvent::Conflict { tx_node: tx_node(9), other: Some(uid(UID)) };
+    assert_eq!(outputs(&mut client, later)[0], Output::Event(conflict));
+}
+
+#[test]
+fn a_probe_is_answered_and_a_release_is_the_last_word() {
+    let (mut client, now) = configured();
+    client.on_frame(now, &Probe { tx_node: tx_node(3) }.encode());
+    let identity = NodeIdentity { tx_node: tx_node(9), uid: uid(UID) }.encode();
+    assert_eq!(outputs(&mut client, now), [Output::Send(identity)]);
+    client.release();
+    let release = Release { tx_node: tx_node(9), uid: uid(UID) }.encode();
+    assert_eq!(outputs(&mut client, now), [Output::Send(release)]);
+    client.on_frame(now, &Probe { tx_node: tx_node(3) }.encode());
+    client.on_frame(now, &ConfigurationReply::Restart.encode());
+    assert_eq!((outputs(&mut client, now), client.next_wakeup()), (vec![], None));
+}
+
+fn binding_outputs<const N: usize>(client: &mut Binding<N>, now: Instant) -> Vec<Output<BindingEvent>> {
+    core::iter::from_fn(|| client.poll(now)).collect()
+}
+
+fn supply(sender: TxNode, requester: u8, of: u64, answer: Answer) -> [Frame; 2] {
+    SupplyEtag::pair(sender, tx_node(requester), subject(of), answer).map(|half| half.encode())
+}
+
+fn get(of: u64) -> Frame {
+    GetEtag { requester: tx_node(4), subject: subject(of) }.encode()
+}
+
+const ETAG: Etag = Etag::BOUND_LAST;
+
+fn binding() -> Binding<2> {
+    let mut client = Binding::new(0, BindingTiming::DEFAULT);
+    client.bind(subject(1)).unwrap();
+    client.bind(subject(2)).unwrap();
+    assert_eq!(client.bind(subject(3)), Err(BindingFull));
+    assert_eq!(binding_outputs(&mut client, at(0)), [], "silent without an id");
+    client.set_tx_node(Some(tx_node(4)));
+    assert_eq!(binding_outputs(&mut client, at(0)), [Output::Send(get(1))]);
+    client
+}
+
+#[test]
+fn subjects_are_bound_one_after_the_other() {
+    let mut client = binding();
+    let [first, second] = supply(TxNode::BROKER, 4, 1, Answer::Bound(ETAG));
+    client.on_frame(at(1), &second);
+    client.on_frame(at(1), &first);
+    assert_eq!(binding_outputs(&mut client, at(1)), [], "halves in the wrong order");
+    client.on_frame(at(1), &second);
+    let bound = BindingEvent::Bound { subject: subject(1), etag: ETAG };
+    assert_eq!(binding_outputs(&mut client, at(1)), [Output::Event(bound), Output::Send(get(2))]);
+    assert_eq!(client.etag_of(subject(1)), Some(ETAG));
+    // It is told again to whoever asks again.
+    client.bind(subject(1)).unwrap();
+    assert_eq!(binding_outputs(&mut client, at(1)), [Output::Event(bound)]);
+}
+
+#[test]
+fn an_answer_to_another_node_makes_our_request_void() {
+    let mut client = binding();
+    for half in supply(TxNode::BROKER, 77, 1, Answer::Bound(ETAG)) {
+        client.on_frame(at(1), &half);
+    }
+    let bound = BindingEvent::Bound { subject: subject(1), etag: ETAG };
+    let expected = [Output::Withdraw(get(1)), Output::Event(bound), Output::Send(get(2))];
+    assert_eq!(binding_outputs(&mut client, at(1)), expected);
+}
+
+#[test]
+fn without_an_answer_the_subjects_take_turns() {
+    let mut client = binding();
+    let mut asked = Vec::new();
+    for _ in 0..6 {
+        let now = client.next_wakeup().unwrap();
+        let outputs = binding_outputs(&mut client, now);
+        assert!(matches!(outputs[0], Output::Withdraw(_)));
+        asked.extend(outputs.into_iter().skip(1));
+    }
+    let turns = [2, 1, 2, 1, 2, 1].map(|of| Output::Send(get(of)));
+    assert_eq!(asked, turns);
+}
+
+#[test]
+fn only_the_broker_binds() {
+    let mut client = binding();
+    for half in supply(tx_node(9), 9, 1, Answer::Bound(ETAG)) {
+        client.on_frame(at(1), &half);
+    }
+    assert_eq!(client.etag_of(subject(1)), None);
+}
+
+#[test]
+fn a_refused_subject_is_asked_for_again_later() {
+    let mut client = binding();
+    client.forget(subject(2));
+    for half in supply(TxNode::BROKER, 4, 1, Answer::Refused) {
+        client.on_frame(at(1), &half);
+    }
+    let refused = BindingEvent::Refused { subject: subject(1) };
+    assert_eq!(binding_outputs(&mut client, at(1)), [Output::Event(refused)]);
+    let again = client.next_wakeup().unwrap();
+    assert!(again > at(1) + Duration::from_secs(1));
+    assert_eq!(binding_outputs(&mut client, again), [Output::Send(get(1))]);
+}
+
+#[test]
+fn a_subject_is_bound_anew() {
+    let mut client = Binding::<1>::new(0, BindingTiming::DEFAULT);
+    client.assume(subject(1), ETAG).unwrap();
+    let new = Etag::new(0x3000).unwrap();
+    for half in supply(TxNode::BROKER, 77, 1, Answer::Bound(new)) {
+        client.on_frame(at(1), &half);
+    }
+    let rebound = BindingEvent::Rebound { subject: subject(1), old: ETAG, new };
+    assert_eq!(binding_outputs(&mut client, at(1)), [Output::Event(rebound)]);
+    // A probe is answered with what holds now.
+    client.set_tx_node(Some(tx_node(4)));
+    client.on_frame(at(2), &Probe { tx_node: tx_node(3) }.encode());
+    let claim = supply(tx_node(4), 4, 1, Answer::Bound(new)).map(Output::Send);
+    assert_eq!(binding_outputs(&mut client, at(2)), claim);
+}
