@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use cosmic_bus::{Bus, FaultModel, VirtualInstant};
 use cosmic_core::can::BitRate;
-use cosmic_emu::{Cluster, NodeConfig, ObservationKind};
+use cosmic_emu::{ClockError, Cluster, NodeConfig, ObservationKind};
 
 fn main() -> ExitCode {
     let mut arguments = std::env::args().skip(1);
@@ -16,12 +16,19 @@ fn main() -> ExitCode {
         return ExitCode::FAILURE;
     };
     let mut cluster = Cluster::new(Bus::new(BitRate::MAX, FaultModel::seeded(1)));
-    let mut names = Vec::new();
+    let (mut names, mut nodes) = (Vec::new(), Vec::new());
     for (n, file) in arguments.enumerate() {
         let name = format!("node{n}");
-        if let Err(error) = cluster.add_node(NodeConfig::new(&name, file)) {
-            eprintln!("{error}");
-            return ExitCode::FAILURE;
+        let mut config = NodeConfig::new(&name, file);
+        // No two nodes of a real cluster start at the same instant, or run at the same speed.
+        config.start_at = VirtualInstant::from_ticks(1_234_567 * n as u64);
+        config.clock_error = ClockError::parts_per_million(17 * n as i32 - 20).unwrap_or_default();
+        match cluster.add_node(config) {
+            Ok(node) => nodes.push(node),
+            Err(error) => {
+                eprintln!("{error}");
+                return ExitCode::FAILURE;
+            }
         }
         names.push(name);
     }
@@ -36,6 +43,10 @@ fn main() -> ExitCode {
             println!("{at:>10} µs {}: {}", names[seen.node.index()], seen.kind);
         }
     }
+    for (node, name) in nodes.iter().zip(&names) {
+        println!("{name}: {} instructions", cluster.instructions(*node));
+    }
+    println!("{:?}", cluster.bus().accounting());
     let spent = started.elapsed().as_secs_f64();
     println!("{:.2} virtual seconds a second", milliseconds as f64 / 1000.0 / spent);
     ExitCode::SUCCESS

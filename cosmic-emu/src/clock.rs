@@ -58,11 +58,6 @@ impl Timebase {
         self.hertz = hertz;
     }
 
-    /// The nominal frequency.
-    pub(crate) const fn hertz(&self) -> u32 {
-        self.hertz
-    }
-
     /// When a cycle begins. Cycles before the last change of the frequency are not asked for.
     pub(crate) fn instant(&self, cycle: u64) -> VirtualInstant {
         let cycles = u128::from(cycle.saturating_sub(self.segment_cycle));

@@ -83,6 +83,8 @@ pub(crate) struct Image {
     pub(crate) flash: Vec<u8>,
     /// What else is loaded, in RAM.
     pub(crate) ram: Vec<(u32, Vec<u8>)>,
+    /// Some of the code runs in RAM.
+    pub(crate) executes_ram: bool,
     /// Functions by address: size and name.
     functions: BTreeMap<u32, (u32, String)>,
     /// The RTT control block.
@@ -115,6 +117,7 @@ impl Image {
             file: owned(),
             flash: Vec::new(),
             ram: Vec::new(),
+            executes_ram: false,
             functions: functions(&object),
             rtt: object.symbol_by_name("_SEGGER_RTT").map(|symbol| symbol.address() as u32),
             defmt: None,
@@ -139,6 +142,9 @@ impl Image {
             return Ok(());
         }
         let address = segment.p_paddr(endian);
+        let runs_at = segment.p_vaddr(endian);
+        let in_ram = memory::RAM.holds(runs_at, 0) || memory::CCM.holds(runs_at, 0);
+        self.executes_ram |= in_ram && segment.p_flags(endian) & elf::PF_X != 0;
         let outside = || LoadError::OutsideMemory {
             file: self.file.clone(),
             address,

@@ -13,7 +13,7 @@ use cosmic_core::time::Duration;
 use fugit::HertzU32;
 
 use crate::clock::ClockError;
-use crate::cpu::{Cpu, Io, Pace, Register, Stop, UnicornCpu};
+use crate::cpu::{Cpu, Io, Pace, Ram, Register, Stop, UnicornCpu};
 use crate::exception::{self, ENTRY_CYCLES, RETURN_CYCLES, TAIL_CHAIN_CYCLES};
 use crate::image::{Image, LoadError};
 use crate::log::LogDecoder;
@@ -435,8 +435,8 @@ fn power_on(config: &NodeConfig, image: &Image, at: VirtualInstant) -> Result<Ha
     ];
     let refused =
         |reason: &dyn core::fmt::Debug| LoadError::Emulator { file: image.file.clone(), reason: format!("{reason:?}") };
-    let mut cpu = UnicornCpu::new(&rom, &[memory::RAM, memory::CCM], &memory::IO, &io, &pace)
-        .map_err(|error| refused(&error))?;
+    let ram = Ram { regions: &[memory::RAM, memory::CCM], executable: image.executes_ram };
+    let mut cpu = UnicornCpu::new(&rom, ram, &memory::IO, &io, &pace).map_err(|error| refused(&error))?;
     for (address, bytes) in &image.ram {
         cpu.write_memory(*address, bytes).map_err(|error| refused(&error))?;
     }

@@ -12,7 +12,7 @@ mod pace;
 mod unicorn;
 
 pub(crate) use pace::Pace;
-pub(crate) use unicorn::UnicornCpu;
+pub(crate) use unicorn::{Ram, UnicornCpu};
 
 /// What the core reads and writes outside of its memories.
 pub(crate) trait Io {

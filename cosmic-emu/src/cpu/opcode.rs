@@ -19,6 +19,9 @@ pub(super) enum Kind {
     SendEvent,
     SupervisorCall,
     Breakpoint(u8),
+    /// The start of an endless loop that does nothing: `loop {}`, with or without a NOP. With the
+    /// instructions and cycles of one turn, taken branch included.
+    Spin { instructions: u8, cycles: u8 },
 }
 
 /// An instruction, decoded as far as needed here.
@@ -41,6 +44,8 @@ impl Opcode {
             return wide(first, halfword(code, 2));
         }
         let (kind, cycles) = match first {
+            BRANCH_TO_ITSELF => (Kind::Spin { instructions: 1, cycles: 3 }, 1),
+            NOP if halfword(code, 2) == BRANCH_BACK => (Kind::Spin { instructions: 2, cycles: 4 }, 1),
             0xBF20 => (Kind::WaitForEvent, 1),
             0xBF30 => (Kind::WaitForInterrupt, 1),
             0xBF40 => (Kind::SendEvent, 1),
@@ -59,6 +64,11 @@ impl Opcode {
         Self { kind, size: 2, count: 1, cycles }
     }
 }
+
+const NOP: u16 = 0xBF00;
+const BRANCH_TO_ITSELF: u16 = 0xE7FE;
+/// To the halfword before it.
+const BRANCH_BACK: u16 = 0xE7FD;
 
 fn halfword(code: &[u8], at: usize) -> u16 {
     match code.get(at..at + 2) {

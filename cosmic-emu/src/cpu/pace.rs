@@ -118,6 +118,15 @@ impl Pace {
         self.next.set(pc.wrapping_add(size));
     }
 
+    /// The core is at an endless loop that does nothing, with so many instructions and cycles a turn: as
+    /// many turns as fit before the limit pass at once. Is there time left for single instructions?
+    pub(crate) fn spin(&self, instructions: u64, cycles: u64) -> bool {
+        let turns = self.limit.get().saturating_sub(self.cycle.get()) / cycles;
+        self.cycle.set(self.cycle.get() + turns * cycles);
+        self.instructions.set(self.instructions.get() + turns * instructions);
+        self.cycle.get() < self.limit.get()
+    }
+
     /// The core executes an instruction that changes interrupt masks.
     pub(crate) fn masks_change(&self) {
         if self.pending.get() {

@@ -23,6 +23,14 @@ const EXC_RETURN: u32 = 0xFFFF_FFE0;
 /// The longest code that is decoded at once: an IT block of four wide instructions.
 const LONGEST_BLOCK: usize = 2 + 4 * 4;
 
+/// Memory that can be written.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ram<'a> {
+    pub(crate) regions: &'a [Region],
+    /// May code run there? It makes all stores several times slower, as each might change code.
+    pub(crate) executable: bool,
+}
+
 /// A core on the Unicorn emulator.
 pub(crate) struct UnicornCpu {
     emulator: Unicorn<'static, ()>,
@@ -34,7 +42,7 @@ impl UnicornCpu {
     /// of the first of the read-only regions.
     pub(crate) fn new(
         rom: &[(Region, &[u8])],
-        ram: &[Region],
+        ram: Ram<'_>,
         io_regions: &[Region],
         io: &Rc<RefCell<dyn Io>>,
         pace: &Rc<Pace>,
@@ -47,8 +55,9 @@ impl UnicornCpu {
             emulator.mem_write(region.base.into(), content)?;
             code.push(Decoded::new(*region, content));
         }
-        for region in ram {
-            emulator.mem_map(region.base.into(), region.size.into(), Prot::ALL)?;
+        let permissions = if ram.executable { Prot::ALL } else { Prot::READ | Prot::WRITE };
+        for region in ram.regions {
+            emulator.mem_map(region.base.into(), region.size.into(), permissions)?;
         }
         for region in io_regions {
             let (base, size) = (region.base, region.size);
@@ -129,6 +138,7 @@ fn install_hooks(
 }
 
 /// Must the core stop at an instruction of this kind? Notes what goes on otherwise.
+#[inline]
 fn special(kind: Kind, pc: u32, pace: &Pace, block: &mut (u32, u32)) -> Option<Stop> {
     match kind {
         Kind::Plain => return None,
@@ -138,6 +148,9 @@ fn special(kind: Kind, pc: u32, pace: &Pace, block: &mut (u32, u32)) -> Option<S
         Kind::WaitForEvent => return Some(Stop::WaitForEvent),
         Kind::SendEvent => return Some(Stop::SendEvent),
         Kind::SupervisorCall => return Some(Stop::SupervisorCall),
+        Kind::Spin { instructions, cycles } => {
+            return (!pace.spin(instructions.into(), cycles.into())).then_some(Stop::Limit);
+        }
         Kind::Breakpoint(immediate) => return Some(Stop::Breakpoint(immediate)),
     }
     None
@@ -166,10 +179,12 @@ impl Decoded {
         Self { base: region.base, code: code.to_vec(), opcodes: vec![None; code.len().div_ceil(2)] }
     }
 
+    #[inline]
     fn contains(&self, pc: u32) -> bool {
         (pc.wrapping_sub(self.base) as usize) < self.code.len()
     }
 
+    #[inline]
     fn opcode(&mut self, pc: u32) -> Opcode {
         let offset = (pc - self.base) as usize;
         let slot = &mut self.opcodes[offset / 2];
@@ -254,7 +269,8 @@ mod tests {
         let pace = Rc::new(Pace::default());
         let log = Rc::new(RefCell::new(Log(Rc::clone(&pace), vec![])));
         let io: Rc<RefCell<dyn Io>> = log.clone();
-        let mut cpu = UnicornCpu::new(&[(FLASH, &bytes)], &[RAM], &[IO], &io, &pace).unwrap();
+        let ram = Ram { regions: &[RAM], executable: false };
+        let mut cpu = UnicornCpu::new(&[(FLASH, &bytes)], ram, &[IO], &io, &pace).unwrap();
         cpu.set_register(Register::Pc, FLASH.base | 1);
         cpu.set_register(Register::Sp, RAM.base + RAM.size);
         (cpu, pace, log)
@@ -271,6 +287,27 @@ mod tests {
         assert_eq!(cpu.run(), Stop::WaitForInterrupt);
         assert_eq!(cpu.register(Register::R(0)), 4);
         assert_eq!((pace.cycle(), pace.instructions()), (4, 4));
+    }
+
+    #[test]
+    fn an_idle_loop_takes_the_same_time_in_one_leap() {
+        for (program, turn) in [(&[0x2001, 0xE7FE][..], (3, 1)), (&[0x2001, 0xBF00, 0xE7FD], (4, 2))] {
+            for limit in 1..20 {
+                let (mut cpu, pace, _) = cpu(program);
+                pace.set_limit(limit);
+                assert_eq!(cpu.run(), Stop::Limit);
+                let leapt = (pace.cycle(), pace.instructions(), cpu.register(Register::Pc));
+                // One cycle after the other, so no turn ever fits.
+                let (mut cpu, pace, _) = self::cpu(program);
+                for limit in 1..=limit {
+                    pace.set_limit(limit);
+                    assert_eq!(cpu.run(), Stop::Limit);
+                }
+                assert_eq!((pace.cycle(), pace.instructions(), cpu.register(Register::Pc)), leapt);
+                let turns = (limit - 1) / turn.0;
+                assert!(pace.instructions() >= 1 + turns * turn.1);
+            }
+        }
     }
 
     #[test]

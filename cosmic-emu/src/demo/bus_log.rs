@@ -141,7 +141,9 @@ impl BusLog {
     }
 
     fn withdraw(&mut self, station: StationId, mailbox: usize, on_the_wire: bool) {
-        if on_the_wire {
+        // Behind an error the frame counts as on the wire until the error frame is over, and is dropped then.
+        let has_failed = self.attempts.last().is_some_and(|it| it.station == station && it.has_failed());
+        if on_the_wire && !has_failed {
             let place = self.pending.iter_mut().find(|it| (it.station, it.mailbox) == (station, mailbox));
             if let Some(pending) = place {
                 pending.withdrawn = true;
