@@ -1,4 +1,5 @@
-//! The example cluster: nodes, channels, calendar. Every image contains the same.
+//! The example cluster: contents and channels. Every image contains the same. Identifiers, qualities and
+//! the calendar come from the [`plan`].
 //!
 //! | node | publishes | subscribes to |
 //! |---|---|---|
@@ -8,21 +9,18 @@
 
 use boards::bxcan_rx::{AcceptanceFilter, RxFifo};
 use cosmic_core::Subject;
-use cosmic_core::calendar::{Calendar, Segment, Slot};
-use cosmic_core::can::{BitRate, Etag, TxNode};
-use cosmic_core::event_layer::{Channel, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes};
+use cosmic_core::calendar::Slot;
+use cosmic_core::can::Etag;
+use cosmic_core::event_layer::{Channel, Content};
 use cosmic_core::time::Duration;
 use cosmic_core::time::sync::SyncConfig;
 
-/// The bit rate of the bus.
-pub const BIT_RATE: BitRate = BitRate::MAX;
+use plan::channels::{brake_force, logbook, suspension, temperature, wheel_speed};
 
-/// Measures wheel speed and temperature.
-pub const SENSOR: TxNode = tx_node(1);
-/// Brakes.
-pub const BRAKE: TxNode = tx_node(2);
-/// Observes, and keeps the bus busy.
-pub const DIAGNOSTICS: TxNode = tx_node(3);
+/// What `cosmic-plan` has made of the description of the cluster.
+pub mod plan {
+    include!(env!("COSMIC_PLAN_FILE"));
+}
 
 cosmic_core::content! {
     /// The speed of one wheel.
@@ -99,44 +97,34 @@ macro_rules! sequenced {
 }
 sequenced!(WheelSpeed, Temperature, BrakeForce, Suspension, LogEntry);
 
-/// Hard real-time, every 10 ms, with one omission tolerated.
-pub const WHEEL_SPEED: Channel<WheelSpeed> = Channel::hard(
-    WHEEL_SPEED_SUBJECT,
-    WHEEL_SPEED_SLOT.etag,
-    HardAttributes {
-        period: WHEEL_SPEED_SLOT.period,
-        periodic: WHEEL_SPEED_SLOT.periodic,
-        omission_degree: WHEEL_SPEED_SLOT.omission_degree,
-    },
-);
+/// Hard real-time.
+pub const WHEEL_SPEED: Channel<WheelSpeed> =
+    Channel::hard(wheel_speed::SUBJECT, wheel_speed::ETAG, wheel_speed::ATTRIBUTES);
 
 /// Soft real-time.
-pub const TEMPERATURE: Channel<Temperature> = Channel::soft(
-    TEMPERATURE_SUBJECT,
-    SoftAttributes { deadline: Duration::from_millis(10), validity: Duration::from_millis(40) },
-)
-.with_etag(TEMPERATURE_ETAG);
+pub const TEMPERATURE: Channel<Temperature> =
+    Channel::soft(temperature::SUBJECT, temperature::ATTRIBUTES).with_etag(temperature::ETAG);
 
 /// Soft real-time.
-pub const BRAKE_FORCE: Channel<BrakeForce> = Channel::soft(
-    BRAKE_FORCE_SUBJECT,
-    SoftAttributes { deadline: Duration::from_millis(4), validity: Duration::from_millis(20) },
-)
-.with_etag(BRAKE_FORCE_ETAG);
+pub const BRAKE_FORCE: Channel<BrakeForce> =
+    Channel::soft(brake_force::SUBJECT, brake_force::ATTRIBUTES).with_etag(brake_force::ETAG);
 
 /// Soft real-time, and much of it.
-pub const SUSPENSION: Channel<Suspension> = Channel::soft(
-    SUSPENSION_SUBJECT,
-    SoftAttributes { deadline: Duration::from_millis(2), validity: Duration::from_millis(8) },
-)
-.with_etag(SUSPENSION_ETAG);
+pub const SUSPENSION: Channel<Suspension> =
+    Channel::soft(suspension::SUBJECT, suspension::ATTRIBUTES).with_etag(suspension::ETAG);
 
 /// Non real-time.
-pub const LOGBOOK: Channel<LogEntry> = Channel::non_real_time(
-    LOGBOOK_SUBJECT,
-    NonRealTimeAttributes { importance: Importance::LEAST, validity: None },
-)
-.with_etag(LOGBOOK_ETAG);
+pub const LOGBOOK: Channel<LogEntry> =
+    Channel::non_real_time(logbook::SUBJECT, logbook::ATTRIBUTES).with_etag(logbook::ETAG);
+
+// The plan was made for contents of at most these lengths.
+const _: () = {
+    assert!(WheelSpeed::LEN <= wheel_speed::LENGTH);
+    assert!(Temperature::LEN <= temperature::LENGTH);
+    assert!(BrakeForce::LEN <= brake_force::LENGTH);
+    assert!(Suspension::LEN <= suspension::LENGTH);
+    assert!(LogEntry::LEN <= logbook::LENGTH);
+};
 
 /// The etag of one of the channels.
 pub fn etag_of(subject: Subject) -> Option<Etag> {
@@ -144,48 +132,26 @@ pub fn etag_of(subject: Subject) -> Option<Etag> {
 }
 
 const ETAGS: [(Subject, Etag); 5] = [
-    (WHEEL_SPEED_SUBJECT, WHEEL_SPEED_SLOT.etag),
-    (TEMPERATURE_SUBJECT, TEMPERATURE_ETAG),
-    (BRAKE_FORCE_SUBJECT, BRAKE_FORCE_ETAG),
-    (SUSPENSION_SUBJECT, SUSPENSION_ETAG),
-    (LOGBOOK_SUBJECT, LOGBOOK_ETAG),
+    (wheel_speed::SUBJECT, wheel_speed::ETAG),
+    (temperature::SUBJECT, temperature::ETAG),
+    (brake_force::SUBJECT, brake_force::ETAG),
+    (suspension::SUBJECT, suspension::ETAG),
+    (logbook::SUBJECT, logbook::ETAG),
 ];
-
-/// When which hard real-time frame may be on the bus.
-pub static CALENDAR: Calendar = Calendar::checked(
-    Segment {
-        bit_rate: BIT_RATE,
-        accuracy: Duration::from_micros(50),
-        release_jitter: Duration::from_micros(20),
-    },
-    Duration::from_millis(10),
-    &[WHEEL_SPEED_SLOT],
-);
 
 /// How the nodes keep their clocks together. Each has its own rank.
 ///
 /// The time-stamps are taken in interrupts, which wait for the calendar task, for a copy of an HRT message
 /// buffer, and for the log: at worst 10 µs together.
-pub const SYNC: SyncConfig = SyncConfig {
-    period: Duration::from_millis(25),
-    stamp_error: Duration::from_micros(10),
-    ..SyncConfig::DEFAULT
-};
+pub const SYNC: SyncConfig =
+    SyncConfig { period: plan::SYNC_PERIOD, stamp_error: Duration::from_micros(10), ..SyncConfig::DEFAULT };
 
 /// From the instant at which one node relies on its clock until all do: the first frames of a master may
 /// have been missed.
 pub const SETTLING: Duration = Duration::from_ticks(3 * SYNC.period.as_ticks());
 
 /// The slot of the wheel speed.
-pub const WHEEL_SPEED_SLOT: Slot = Slot {
-    etag: etag(100),
-    publisher: SENSOR,
-    len: 8,
-    omission_degree: 1,
-    periodic: true,
-    period: Duration::from_millis(10),
-    phase: Duration::from_millis(2),
-};
+pub const WHEEL_SPEED_SLOT: Slot = wheel_speed::SLOT;
 
 /// The acceptance filters of a node that takes everything: hard real-time and synchronisation frames into
 /// the urgent FIFO, all others into the other one.
@@ -210,27 +176,3 @@ pub const FILTERS: [AcceptanceFilter; 10] = {
 
 const PRIORITY_SHIFT: usize = 21;
 const PRIORITY: u32 = 0xFF << PRIORITY_SHIFT;
-
-const WHEEL_SPEED_SUBJECT: Subject = subject(0x0001);
-const TEMPERATURE_SUBJECT: Subject = subject(0x0002);
-const BRAKE_FORCE_SUBJECT: Subject = subject(0x0003);
-const SUSPENSION_SUBJECT: Subject = subject(0x0004);
-const LOGBOOK_SUBJECT: Subject = subject(0x0005);
-
-const TEMPERATURE_ETAG: Etag = etag(0x3FFF);
-const BRAKE_FORCE_ETAG: Etag = etag(0x3FFE);
-const SUSPENSION_ETAG: Etag = etag(0x3FFD);
-const LOGBOOK_ETAG: Etag = etag(0x3FFC);
-
-/// A subject of the example.
-const fn subject(number: u64) -> Subject {
-    Subject::new(0xC05A_1C00_0000_0000 | number).unwrap()
-}
-
-const fn etag(value: u16) -> Etag {
-    Etag::new(value).unwrap()
-}
-
-const fn tx_node(value: u8) -> TxNode {
-    TxNode::new(value).unwrap()
-}

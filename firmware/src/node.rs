@@ -15,7 +15,7 @@ use cosmic_core::time::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
 use rtic::Mutex;
 
-use crate::cluster;
+use crate::cluster::{self, plan};
 use crate::inbox::Item;
 
 /// Slots of the calendar in which a node takes part.
@@ -37,10 +37,10 @@ pub type Half = EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NON_REAL
 /// For `init`: the settings of the clock synchronisation are checked here.
 pub fn parts(tx_node: TxNode, rank: Rank) -> (Half, Calendar, Buffers) {
     let config = SyncConfig { rank: Some(rank), ..cluster::SYNC };
-    let clock = ClockService::new(config, &cluster::CALENDAR, Some(tx_node), clock::now());
+    let clock = ClockService::new(config, &plan::CALENDAR, Some(tx_node), clock::now());
     (
-        Half::new(Some(tx_node), &cluster::CALENDAR, defmt::unwrap!(clock)),
-        Calendar::new(&cluster::CALENDAR),
+        Half::new(Some(tx_node), &plan::CALENDAR, defmt::unwrap!(clock)),
+        Calendar::new(&plan::CALENDAR),
         Buffers::new(GlobalClock::unsynchronised()),
     )
 }

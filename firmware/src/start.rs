@@ -7,7 +7,7 @@ use cosmic_core::protocol::Rank;
 use rtic_monotonics::stm32::Priority;
 
 use crate::application::Reporter;
-use crate::cluster;
+use crate::cluster::{self, plan};
 use crate::inbox::{Inbox, Storage};
 use crate::node::{self, Buffers, Node};
 use crate::records::Records;
@@ -36,14 +36,14 @@ pub struct Parts {
 /// Brings up the node `tx_node`, which has this rank in the succession of time masters. For RTIC's `init`; a mistake in the settings ends there, with a log.
 pub fn start(device: pac::Peripherals, tx_node: TxNode, rank: Rank, storage: &'static mut Storage) -> Parts {
     let records = Records::start();
-    let settings = Settings { bit_rate: cluster::BIT_RATE, filters: &cluster::FILTERS };
+    let settings = Settings { bit_rate: plan::SEGMENT.bit_rate, filters: &cluster::FILTERS };
     let board = match Board::new(device, settings, Priority::new(TIMER_PRIORITY)) {
         Ok(board) => board,
         Err(error) => defmt::panic!("the board cannot be brought up: {}", defmt::Debug2Format(&error)),
     };
     let (half, dispatcher, buffers) = node::parts(tx_node, rank);
     let ends = storage.split();
-    defmt::info!("node {} is up, calendar {=u32:08X}", tx_node.get(), cluster::CALENDAR.digest());
+    defmt::info!("node {} is up, calendar {=u32:08X}", tx_node.get(), plan::CALENDAR.digest());
     Parts {
         calendar: CalendarParts {
             dispatcher,

@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use anyhow::{Result, bail};
 use clap::Args;
 use serde_json::Value;
 
+use crate::plan;
 use crate::run::{self, step};
 use crate::setup;
 use crate::size;
@@ -20,6 +22,9 @@ pub(crate) struct Options {
     /// Only this image; may be given several times.
     #[arg(long = "image", value_name = "NAME")]
     images: Vec<String>,
+    /// Plan this cluster, and build for it instead of the example's plan in firmware/plan/.
+    #[arg(long, value_name = "FILE")]
+    cluster: Option<PathBuf>,
 }
 
 /// The images of one package, by name.
@@ -28,7 +33,12 @@ pub(crate) type Images = BTreeMap<String, PathBuf>;
 /// Builds the images of the firmware and prints their sizes.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
     let way = setup::prepare(&[])?;
-    let built = firmware(workspace, &way, &options.images)?;
+    let plan = options.cluster.as_deref().map(|file| plan::make(workspace, file)).transpose()?;
+    let built = step("building the firmware images", || {
+        let mut command = way.cargo(workspace, "build");
+        command.envs(plan.map(|file| (plan::VARIABLE, file)));
+        images(command, "firmware", &options.images)
+    })?;
     print!("{}", size::table(&size::measure_all(&built.images)?));
     if let Some(directory) = built.directory() {
         println!("The images are in {}.", directory.display());
@@ -51,22 +61,16 @@ impl Built {
     }
 }
 
-/// Builds the firmware: all images if none is named.
-pub(crate) fn firmware(workspace: &Workspace, way: &TargetWay, names: &[String]) -> Result<Built> {
-    step("building the firmware images", || images(workspace, way, "firmware", names))
+/// Builds all images of the example's firmware.
+pub(crate) fn firmware(workspace: &Workspace, way: &TargetWay) -> Result<Built> {
+    step("building the firmware images", || images(way.cargo(workspace, "build"), "firmware", &[]))
 }
 
-/// Builds programs of a package for the target.
+/// Builds programs of a package by a call of [`TargetWay::cargo`]: all if none is named.
 ///
 /// Cargo shows a warning about a package of the workspace again when it has nothing to compile, so that
 /// the count is that of the code as it stands.
-pub(crate) fn images(
-    workspace: &Workspace,
-    way: &TargetWay,
-    package: &str,
-    names: &[String],
-) -> Result<Built> {
-    let mut command = way.cargo(workspace, "build");
+pub(crate) fn images(mut command: Command, package: &str, names: &[String]) -> Result<Built> {
     command.args(["--package", package, "--profile", PROFILE]);
     let in_colour = std::io::stderr().is_terminal();
     command.arg(if in_colour {

@@ -9,6 +9,7 @@ use anyhow::{Result, bail};
 
 use crate::build;
 use crate::demo;
+use crate::plan;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup;
@@ -25,6 +26,7 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
     tally.add(check("formatting", workspace.cargo().args(["fmt", "--all", "--check"])));
     tally.add(clippy(workspace, &way));
     tally.add(documentation(workspace));
+    tally.add(plan::check(workspace).map(|()| Tally::default()));
     tally.add(suite::host(workspace));
     tally.add(no_warnings(workspace, &way));
     tally.add(sizes(workspace, &way));
@@ -68,8 +70,8 @@ fn documentation(workspace: &Workspace) -> Result<Tally> {
 
 /// Warnings about code for the target are errors here.
 fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let mut warnings = build::firmware(workspace, way, &[])?.warnings;
-    warnings += build::images(workspace, way, qemu::PACKAGE, &[])?.warnings;
+    let mut warnings = build::firmware(workspace, way)?.warnings;
+    warnings += build::images(way.cargo(workspace, "build"), qemu::PACKAGE, &[])?.warnings;
     if warnings > 0 {
         bail!("{warnings} warnings about code for the target; see above");
     }
@@ -77,7 +79,7 @@ fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 }
 
 fn sizes(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let sizes = size::measure_all(&build::firmware(workspace, way, &[])?.images)?;
+    let sizes = size::measure_all(&build::firmware(workspace, way)?.images)?;
     print!("{}", size::table(&sizes));
     size::check(workspace, &sizes)?;
     Ok(Tally::default())

@@ -27,7 +27,7 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
 /// Builds the firmware and the demo, starts it, and gives its exit code.
 pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
     let way = setup::prepare(&setup::EMULATOR)?;
-    let built = build::firmware(workspace, &way, &[])?;
+    let built = build::firmware(workspace, &way)?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut program = workspace.cargo();
     program.args(["build", "--release", "--package", PACKAGE, "--bin", "demo"]);

@@ -5,6 +5,7 @@
 mod build;
 mod ci;
 mod demo;
+mod plan;
 mod qemu;
 mod run;
 mod setup;

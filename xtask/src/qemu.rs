@@ -18,7 +18,8 @@ use crate::workspace::Workspace;
 /// Builds and runs all tests of `qemu-tests`.
 pub(crate) fn test(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let directory = workspace.root().join(PACKAGE);
-    let built = step("building the QEMU tests", || build::images(workspace, way, PACKAGE, &[]))?;
+    let built =
+        step("building the QEMU tests", || build::images(way.cargo(workspace, "build"), PACKAGE, &[]))?;
     step("running the QEMU tests", || {
         let mut tally = Tally::default();
         for (name, image) in &built.images {

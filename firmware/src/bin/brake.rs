@@ -9,6 +9,7 @@ mod app {
     use cosmic_core::event_layer::{Depth, Policy};
     use cosmic_core::protocol::Rank;
     use firmware::application::{self, Publisher, Reporter, Subscriber};
+    use firmware::cluster::plan::nodes;
     use firmware::cluster::{self, BrakeForce};
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::{Buffers, Node};
@@ -42,7 +43,7 @@ mod app {
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
-        let parts = start(context.device, cluster::BRAKE, RANK, context.local.storage);
+        let parts = start(context.device, nodes::brake::TX_NODE, RANK, context.local.storage);
         let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
         let spawned = [
             calendar::spawn(),

@@ -12,6 +12,7 @@ mod app {
     use cosmic_core::protocol::Rank;
     use cosmic_core::time::Duration;
     use firmware::application::{self, Publisher, Reporter, Subscriber};
+    use firmware::cluster::plan::{channels, nodes};
     use firmware::cluster::{self, LogEntry, Suspension};
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::{Buffers, Node};
@@ -19,11 +20,11 @@ mod app {
     use firmware::start::{Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
 
-    const SUSPENSION_PERIOD: Duration = Duration::from_millis(1);
+    const SUSPENSION_PERIOD: Duration = channels::suspension::PERIOD;
     /// Codes of the logbook.
     const SPEED: u16 = 1;
     const FORCE: u16 = 2;
-    const LOGBOOK_PERIOD: Duration = Duration::from_millis(4);
+    const LOGBOOK_PERIOD: Duration = channels::logbook::MIN_INTERARRIVAL;
 
     /// For each subscription.
     const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
@@ -51,7 +52,7 @@ mod app {
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
-        let parts = start(context.device, cluster::DIAGNOSTICS, RANK, context.local.storage);
+        let parts = start(context.device, nodes::diagnostics::TX_NODE, RANK, context.local.storage);
         let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
         let spawned = [
             calendar::spawn(),

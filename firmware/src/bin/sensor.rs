@@ -11,6 +11,7 @@ mod app {
     use cosmic_core::protocol::Rank;
     use cosmic_core::time::Duration;
     use firmware::application::{self, Publisher, Reporter, Subscriber};
+    use firmware::cluster::plan::{channels, nodes};
     use firmware::cluster::{self, Temperature, WheelSpeed};
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::{Buffers, Node};
@@ -20,7 +21,7 @@ mod app {
 
     /// A measurement is published this long before its slot.
     const LEAD: Duration = Duration::from_micros(500);
-    const TEMPERATURE_PERIOD: Duration = Duration::from_millis(20);
+    const TEMPERATURE_PERIOD: Duration = channels::temperature::PERIOD;
 
     /// In the succession of time masters.
     const RANK: Rank = Rank::FIRST;
@@ -43,7 +44,7 @@ mod app {
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
-        let parts = start(context.device, cluster::SENSOR, RANK, context.local.storage);
+        let parts = start(context.device, nodes::sensor::TX_NODE, RANK, context.local.storage);
         let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
         let spawned = [
             calendar::spawn(),
