@@ -18,11 +18,12 @@
 //! A method that returns a [`Command`] wants it carried out by the driver before the next call.
 
 use crate::calendar::{Calendar, Slot};
-use crate::can::{Command, Frame, Mailbox, Outcome, TxNode};
+use crate::can::{Command, Frame, Id, Mailbox, Outcome, Priority, TxNode};
+pub use crate::event_layer::Delivered;
 use crate::event_layer::{
-    Accepted, AnnounceError, Attributes, Channel, ChannelCounters, Content, Context, Declared, Event,
-    EventLayer, Exception, ExceptionKind, Exceptions, Filter, Policy, Publication, PublishError, Published,
-    Received, SubscribeError, Subscription,
+    Accepted, AnnounceError, Attributes, Channel, ChannelCounters, Content, Declared, Event, EventLayer,
+    Exception, ExceptionKind, Exceptions, Filter, Policy, Publication, PublishError, Published,
+    SubscribeError, Subscription,
 };
 use crate::network::hard::{Attach, AttachError, BufferId, Counters, HrtBuffers, Role};
 use crate::network::soft::{self, Etch, EtchCounters, Outgoing, PriorityMap, Tag};
@@ -44,21 +45,6 @@ impl<const SLOTS: usize> HardAccess<SLOTS> for HrtBuffers<SLOTS> {
     fn with<R>(&mut self, access: impl FnOnce(&mut HrtBuffers<SLOTS>) -> R) -> R {
         access(self)
     }
-}
-
-/// An event as a subscriber gets it.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Delivered<C> {
-    /// What was published.
-    pub content: C,
-    /// The attributes of context.
-    pub context: Context,
-    /// Who published it.
-    pub publisher: TxNode,
-    /// When its frame arrived; for a local publication, when it was published; for a hard real-time
-    /// event, when it became visible.
-    pub received_at: Instant,
 }
 
 /// What the owner of an [`EventHalf`] is to do next.
@@ -259,12 +245,14 @@ impl<
             Published::Soft(outgoing) => (outgoing, self.etch.submit_soft(now, outgoing)),
             Published::NonRealTime(outgoing) => (outgoing, self.etch.submit_non_real_time(now, outgoing)),
         };
-        let accepted = self.layer.deliver_locally(&outgoing, now);
-        self.note(accepted, now);
-        submitted.map_err(|soft::Full| {
+        let Ok(command) = submitted else {
             self.raise(self.layer.subject(outgoing.tag), ExceptionKind::TransmitQueueFull, now);
-            PublishError::QueueFull
-        })
+            return Err(PublishError::QueueFull);
+        };
+        if self.layer.is_subscribed(outgoing.tag) {
+            self.deliver_locally(&outgoing, now);
+        }
+        Ok(command)
     }
 
     /// Fetches the next event of a subscription. Content that is no value of the channel's type is passed
@@ -272,9 +260,9 @@ impl<
     #[inline]
     pub fn next<C: Content>(&mut self, subscription: &Subscription<C>) -> Option<Delivered<C>> {
         loop {
-            let received = self.layer.next(subscription)?;
-            if let Some(delivered) = self.decode(subscription, &received) {
-                return Some(delivered);
+            match self.layer.next(subscription)? {
+                Ok(delivered) => return Some(delivered),
+                Err(received_at) => self.raise_malformed(subscription, received_at),
             }
         }
     }
@@ -285,14 +273,11 @@ impl<
         subscription: &Subscription<C>,
         waker: &Waker,
     ) -> Poll<Delivered<C>> {
-        loop {
-            match self.layer.poll_next(subscription, waker) {
-                Poll::Pending => return Poll::Pending,
-                Poll::Ready(received) => {
-                    if let Some(delivered) = self.decode(subscription, &received) {
-                        return Poll::Ready(delivered);
-                    }
-                }
+        match self.next(subscription) {
+            Some(delivered) => Poll::Ready(delivered),
+            None => {
+                self.layer.set_waker(subscription, waker);
+                Poll::Pending
             }
         }
     }
@@ -301,15 +286,10 @@ impl<
     /// its channel, or O(EVENTS) for one who wants the earliest deadline first.
     #[inline]
     pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
-        if frame.id.etag().is_reserved() {
-            return self.services.on_frame(frame, received_at);
+        match self.layer.look_up(frame.id.etag()) {
+            Some(tag) => self.accept(tag, frame, received_at),
+            None => self.reject(frame, received_at),
         }
-        if Some(frame.id.tx_node()) == self.tx_node {
-            // No node hears itself: another one uses this TxNode.
-            self.services.on_frame(frame, received_at);
-        }
-        let accepted = self.layer.accept(frame, received_at);
-        self.note(accepted, received_at);
     }
 
     /// A frame has left the soft or non real-time mailbox. O(log SOFT) or O(log NRT).
@@ -328,8 +308,8 @@ impl<
         let (delivery, counters, etag, mismatch) = hard.with(|buffers| {
             (buffers.take(buffer), buffers.counters(buffer), buffers.etag(buffer), buffers.is_inhibited())
         });
-        if let Some(delivery) = delivery {
-            let accepted = self.layer.accept(&delivery.frame(), now);
+        if let Some((delivery, tag)) = delivery.and_then(|it| Some((it, self.layer.look_up(it.etag)?))) {
+            let accepted = self.layer.deliver(tag, &delivery.frame(), now);
             self.note(accepted, now);
         }
         let (Some(counters), Some(etag)) = (counters, etag) else { return };
@@ -515,22 +495,44 @@ impl<
         self.services.declare(&declaration).map_err(|TooMany| AnnounceError::TooManyChannels)
     }
 
-    fn decode<C: Content>(
-        &mut self,
-        subscription: &Subscription<C>,
-        received: &Received,
-    ) -> Option<Delivered<C>> {
-        let Some(content) = C::decode(received.content.as_slice()) else {
-            let subject = self.layer.note_malformed(subscription);
-            self.raise(subject, ExceptionKind::Malformed, received.received_at);
-            return None;
+    // Out of line, so that a foreign frame costs no more than the look-up.
+    #[inline(never)]
+    fn accept(&mut self, tag: Tag, frame: &Frame, received_at: Instant) {
+        if Some(frame.id.tx_node()) == self.tx_node {
+            // No node hears itself: another one uses this TxNode.
+            self.services.on_frame(frame, received_at);
+        }
+        let accepted = self.layer.deliver(tag, frame, received_at);
+        self.note(accepted, received_at);
+    }
+
+    #[inline]
+    fn reject(&mut self, frame: &Frame, received_at: Instant) {
+        if frame.id.etag().is_reserved() || Some(frame.id.tx_node()) == self.tx_node {
+            self.services.on_frame(frame, received_at);
+        } else {
+            self.foreign = self.foreign.wrapping_add(1);
+        }
+    }
+
+    /// A publication reaches the subscribers on this node, too, with the priority that its frame would
+    /// have now.
+    #[inline(never)]
+    fn deliver_locally(&mut self, outgoing: &Outgoing, now: Instant) {
+        let id = outgoing.frame.id;
+        let priority = match id.priority() {
+            priority if priority > Priority::SOFT_LEAST_URGENT => priority,
+            _ => self.etch.priority_map().priority(outgoing.deadline.saturating_since(now)),
         };
-        Some(Delivered {
-            content,
-            context: received.context,
-            publisher: received.publisher,
-            received_at: received.received_at,
-        })
+        let frame = Frame::new(Id::new(priority, id.tx_node(), id.etag()), outgoing.frame.payload);
+        let accepted = self.layer.deliver(outgoing.tag, &frame, now);
+        self.note(accepted, now);
+    }
+
+    #[cold]
+    fn raise_malformed<C>(&mut self, subscription: &Subscription<C>, received_at: Instant) {
+        let subject = self.layer.note_malformed(subscription);
+        self.raise(subject, ExceptionKind::Malformed, received_at);
     }
 
     #[inline]

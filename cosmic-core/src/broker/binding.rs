@@ -47,7 +47,8 @@ pub enum BindingEvent {
         /// Its etag from now on.
         new: Etag,
     },
-    /// The broker has no etag left. The node asks again after [`BindingTiming::refused`].
+    /// The broker has no etag left; if the subject had one, it belongs to another subject now. The node
+    /// asks again after [`BindingTiming::refused`].
     Refused {
         /// The subject.
         subject: Subject,
@@ -311,7 +312,7 @@ impl Entry {
                     _ => BindingEvent::Rebound { subject, old, new },
                 });
             }
-            (State::Bound(_), _) => {}
+            (State::Bound(old), Answer::Bound(new)) if old == new => {}
             (_, Answer::Bound(etag)) => {
                 self.state = State::Bound(etag);
                 self.untold = Some(BindingEvent::Bound { subject, etag });

@@ -143,8 +143,9 @@ pub struct Broker<const NODES: usize, const SUBJECTS: usize> {
     halves: Halves,
     /// When to free those that wait for the end of a search that ended in a refusal.
     restart_at: Option<Instant>,
-    /// When to probe once more, to compare the table with the nodes.
+    /// When to probe again, to compare the table with the nodes, and how often.
     probe_at: Option<Instant>,
+    probes: u8,
     replies: Ring<Frame, REPLIES>,
     events: Ring<BrokerEvent, EVENTS>,
     counters: BrokerCounters,
@@ -169,6 +170,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             halves: Halves::new(),
             restart_at: None,
             probe_at: None,
+            probes: 0,
             replies: Ring::new(),
             events: Ring::new(),
             counters: BrokerCounters {
@@ -298,7 +300,8 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             State::Standby { .. } => {}
         }
         if self.state != State::Off && self.probe_at.is_some_and(|at| now >= at) {
-            self.probe_at = None;
+            self.probes = self.probes.saturating_sub(1);
+            self.probe_at = (self.probes > 0).then_some(now + self.timing.listen);
             self.reply([Probe { tx_node: self.tx_node }.encode()]);
         }
         match self.events.pop() {
@@ -416,13 +419,13 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         };
         match self.state {
             State::Off => {}
-            State::Active { .. } => self.check_claim(supply, etag),
+            State::Active { .. } => self.check_claim(now, supply, etag),
             State::Standby { .. } => self.subjects.mirror(supply.subject, etag),
             // What a node uses now counts more than a stored table.
             State::Listening { until, .. } => {
                 if self.contradicts(supply.subject, etag) {
                     count(&mut self.counters.contradictions);
-                    self.probe_at = Some(until + self.rank_delay());
+                    self.compare_from(until + self.rank_delay());
                 }
                 self.subjects.mirror(supply.subject, etag);
             }
@@ -431,10 +434,14 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
 
     /// A node uses `etag` for the subject of `supply`. If that contradicts the table, all nodes are told
     /// what is right.
-    fn check_claim(&mut self, supply: Supply, etag: Etag) {
+    fn check_claim(&mut self, now: Instant, supply: Supply, etag: Etag) {
         if self.contradicts(supply.subject, etag) || self.subjects.restore(supply.subject, etag).is_err() {
             count(&mut self.counters.contradictions);
             self.supply(supply.requester, supply.subject);
+            // See whether it was heard.
+            if self.probe_at.is_none() {
+                (self.probe_at, self.probes) = (Some(now + self.timing.silence), 1);
+            }
         }
     }
 
@@ -446,7 +453,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     fn on_configuration_reply(&mut self, now: Instant, reply: ConfigurationReply) {
         self.on_other_broker(now);
         if let (ConfigurationReply::Assigned { uid, tx_node }, true) = (reply, self.role() != Role::Active) {
-            self.nodes.learn(uid, tx_node);
+            self.nodes.mirror(uid, tx_node);
         }
     }
 
@@ -474,7 +481,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             State::Active { .. } if status.uid > self.uid => {
                 self.state = State::Active { status_at: now };
                 // When the other has gone, compare our table with what its nodes use.
-                self.probe_at = Some(now + self.timing.listen);
+                self.compare_from(now + self.timing.listen);
             }
             State::Listening { .. } | State::Active { .. } => self.stand_by(now, false),
             State::Standby { .. } => {
@@ -494,7 +501,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     fn activate(&mut self, now: Instant) {
         // A standby has mirrored only what it has heard.
         if self.role() == Role::Standby {
-            self.probe_at = Some(now);
+            self.compare_from(now);
         }
         self.restart_at = None;
         self.session = Session::new();
@@ -508,8 +515,13 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         let dead_at = if old { Instant::FAR_FUTURE } else { self.dead_at(now) };
         self.retire(State::Standby { dead_at, old });
         // The active broker's table is unknown here; the nodes' answers are the best copy.
-        self.probe_at = Some(now);
+        self.compare_from(now);
         self.tell(BrokerEvent::Became(Role::Standby));
+    }
+
+    /// Probes from then on, often enough that a lost frame does not matter.
+    fn compare_from(&mut self, at: Instant) {
+        (self.probe_at, self.probes) = (Some(at), PROBES);
     }
 
     fn retire(&mut self, state: State) {
@@ -558,6 +570,9 @@ fn next_probe(at: Instant, until: Instant) -> Instant {
 fn count(counter: &mut u16) {
     *counter = counter.saturating_add(1);
 }
+
+/// How often the nodes are probed when the table has to be compared with them.
+const PROBES: u8 = 3;
 
 /// Replies that wait to be sent. Each node has at most one request under way.
 const REPLIES: usize = 32;

@@ -22,7 +22,16 @@ enum Slot<Name> {
     Free,
     /// Somebody uses it; we do not know who.
     Unknown,
+    /// Handed out, and not seen in use. The name may be one that does not exist, made of two searches for
+    /// a UID that were mixed up; so this one is given away before any is refused.
+    Promised(Name),
     Of(Name),
+}
+
+impl<Name: Copy + Eq> Slot<Name> {
+    fn is_of(&self, name: Name) -> bool {
+        matches!(self, Self::Promised(other) | Self::Of(other) if *other == name)
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -36,22 +45,41 @@ impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
     }
 
     fn index_of(&self, name: Name) -> Option<usize> {
-        self.slots.iter().position(|slot| *slot == Slot::Of(name))
+        self.slots.iter().position(|slot| slot.is_of(name))
     }
 
     /// The index that `name` has, or a free one that it gets now.
     fn assign(&mut self, name: Name) -> Option<usize> {
-        if let Some(at) = self.index_of(name) {
-            return Some(at);
+        let free = |slot: &Slot<Name>| *slot == Slot::Free;
+        let at = self.index_of(name).or_else(|| self.slots.iter().position(free))?;
+        let slot = self.slots.get_mut(at)?;
+        if *slot == Slot::Free {
+            *slot = Slot::Of(name);
         }
-        let at = self.slots.iter().position(|slot| *slot == Slot::Free)?;
-        *self.slots.get_mut(at)? = Slot::Of(name);
+        Some(at)
+    }
+
+    /// The index that `name` has, or one that it is promised now.
+    fn promise(&mut self, name: Name) -> Option<usize> {
+        let free = |slot: &Slot<Name>| *slot == Slot::Free;
+        let promised = |slot: &Slot<Name>| matches!(slot, Slot::Promised(_));
+        let known = self.index_of(name).or_else(|| self.slots.iter().position(free));
+        let at = known.or_else(|| self.slots.iter().position(promised))?;
+        let slot = self.slots.get_mut(at)?;
+        if !slot.is_of(name) {
+            *slot = Slot::Promised(name);
+        }
         Some(at)
     }
 
     fn occupy(&mut self, at: usize) {
-        if let Some(slot @ Slot::Free) = self.slots.get_mut(at) {
-            *slot = Slot::Unknown;
+        let Some(slot) = self.slots.get_mut(at) else {
+            return;
+        };
+        match *slot {
+            Slot::Free => *slot = Slot::Unknown,
+            Slot::Promised(name) => *slot = Slot::Of(name),
+            Slot::Unknown | Slot::Of(_) => {}
         }
     }
 
@@ -59,7 +87,7 @@ impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
     fn insert(&mut self, name: Name, at: usize) -> Result<(), Conflict<Name>> {
         match self.slots.get(at) {
             None => return Err(Conflict::OutOfRange),
-            Some(Slot::Of(other)) if *other != name => return Err(Conflict::Taken(*other)),
+            Some(Slot::Promised(other) | Slot::Of(other)) if *other != name => return Err(Conflict::Taken(*other)),
             Some(_) => {}
         }
         self.overwrite(name, at);
@@ -75,14 +103,14 @@ impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
     }
 
     fn release(&mut self, name: Name) -> bool {
-        let slot = self.slots.iter_mut().find(|slot| **slot == Slot::Of(name));
+        let slot = self.slots.iter_mut().find(|slot| slot.is_of(name));
         slot.map(|slot| *slot = Slot::Free).is_some()
     }
 
     fn name(&self, at: usize) -> Option<Name> {
         match self.slots.get(at) {
-            Some(Slot::Of(name)) => Some(*name),
-            _ => None,
+            Some(Slot::Promised(name) | Slot::Of(name)) => Some(*name),
+            Some(Slot::Free | Slot::Unknown) | None => None,
         }
     }
 
@@ -132,7 +160,18 @@ impl<const N: usize> Nodes<N> {
 
     /// The id of a node, which it gets now if it has none; `None` if none is left. O(`N`).
     pub(super) fn assign(&mut self, uid: NodeUid) -> Option<TxNode> {
-        Self::tx_node(self.0.assign(uid)?)
+        Self::tx_node(self.0.promise(uid)?)
+    }
+
+    /// The active broker has assigned this id; whoever had it before. O(`N`).
+    pub(super) fn mirror(&mut self, uid: NodeUid, tx_node: TxNode) {
+        let known = self.uid_of(tx_node) == Some(uid);
+        if let (Some(at), false) = (Self::index(tx_node), known) {
+            self.0.release(uid);
+            if let Some(slot) = self.0.slots.get_mut(at) {
+                *slot = Slot::Promised(uid);
+            }
+        }
     }
 
     /// A node said that it uses this id; whoever had it before. O(`N`).
@@ -144,7 +183,7 @@ impl<const N: usize> Nodes<N> {
         }
     }
 
-    /// Somebody uses this id. Constant time.
+    /// This id is in use. Constant time.
     pub(super) fn occupy(&mut self, tx_node: TxNode) {
         if let Some(at) = Self::index(tx_node) {
             self.0.occupy(at);
@@ -267,9 +306,21 @@ mod tests {
         assert_eq!(nodes.assign(uid(1)), Some(TxNode::MAX));
         assert_eq!(nodes.assign(uid(2)), TxNode::new(0x7D));
         assert_eq!(nodes.assign(uid(1)), Some(TxNode::MAX));
+        nodes.occupy(TxNode::MAX);
+        nodes.occupy(TxNode::new(0x7D).unwrap());
         assert_eq!(nodes.assign(uid(3)), None, "no id left");
         assert!(nodes.release(uid(1)));
         assert_eq!(nodes.assign(uid(3)), Some(TxNode::MAX));
+    }
+
+    #[test]
+    fn an_id_that_nobody_has_come_to_use_is_given_away_last() {
+        let mut nodes = Nodes::<2>::new();
+        nodes.assign(uid(1)).unwrap();
+        assert_eq!(nodes.assign(uid(2)), TxNode::new(0x7D));
+        nodes.occupy(TxNode::new(0x7D).unwrap());
+        assert_eq!(nodes.assign(uid(3)), Some(TxNode::MAX));
+        assert!(nodes.entries().eq([(uid(3), TxNode::MAX), (uid(2), TxNode::new(0x7D).unwrap())]));
     }
 
     #[test]
@@ -281,6 +332,8 @@ mod tests {
         nodes.learn(uid(9), TxNode::new(0x7D).unwrap());
         assert_eq!(nodes.assign(uid(1)), TxNode::new(0x7C));
         assert_eq!(nodes.free(), 0);
+        nodes.occupy(TxNode::new(0x7C).unwrap());
+        assert_eq!(nodes.assign(uid(2)), None);
         // Who it is becomes known.
         nodes.learn(uid(8), TxNode::MAX);
         assert_eq!(nodes.uid_of(TxNode::MAX), Some(uid(8)));

@@ -212,6 +212,8 @@ pub struct ChannelCounters {
 #[derive(Debug)]
 pub(super) struct Subscriber {
     pub(super) channel: u8,
+    /// Do its events carry attributes of context?
+    pub(super) context: bool,
     /// The next subscription to the same channel.
     pub(super) next: u8,
     pub(super) filter: Filter,

@@ -7,14 +7,14 @@ use super::channel::{
 };
 use super::content::Content;
 use super::filter::{Context, Filter};
-use super::pool::{List, Pool, PoolFull, Received};
+use super::pool::{List, Pool, PoolFull, Waiting};
 use crate::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use crate::network::hard::BufferId;
 use crate::network::id_map::IdMap;
 use crate::network::soft::{Outgoing, PriorityMap, Tag};
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
 use crate::uid::Subject;
-use core::task::{Poll, Waker};
+use core::task::Waker;
 
 /// Why a channel cannot be announced.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -105,6 +105,21 @@ impl<C> Event<C> {
     pub fn context(self, context: Context) -> Self {
         Self { context, ..self }
     }
+}
+
+/// An event as a subscriber gets it.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Delivered<C> {
+    /// What was published.
+    pub content: C,
+    /// The attributes of context.
+    pub context: Context,
+    /// Who published it.
+    pub publisher: TxNode,
+    /// When its frame arrived; for a local publication, when it was published; for a hard real-time
+    /// event, when it became visible.
+    pub received_at: Instant,
 }
 
 /// Where a published event goes; the owner of the layer takes it there.
@@ -203,8 +218,15 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let next = entry.first_subscription;
         entry.first_subscription = index as u8;
         entry.subscriptions = entry.subscriptions.saturating_add(1);
-        self.subscribers[index] =
-            Some(Subscriber { channel: at, next, filter, policy, list: List::new(), waker: None });
+        self.subscribers[index] = Some(Subscriber {
+            channel: at,
+            context: channel.declared.context,
+            next,
+            filter,
+            policy,
+            list: List::new(),
+            waker: None,
+        });
         Ok(Subscription::new(index as u8))
     }
 
@@ -291,45 +313,43 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         Ok(published)
     }
 
-    /// Gives a frame to the subscribers of its channel: one map look-up, then O(1) for each subscriber,
-    /// or O(length) of the queue of one who wants the earliest deadline first.
+    /// The number of the channel with this etag, if there is one here. One map look-up.
     #[inline]
-    pub(crate) fn accept(&mut self, frame: &Frame, received_at: Instant) -> Accepted {
-        let Some(at) = self.by_etag.get(u32::from(frame.id.etag().get())) else {
-            return Accepted::Foreign;
-        };
-        self.deliver(at, frame, received_at)
+    pub(crate) fn look_up(&self, etag: Etag) -> Option<Tag> {
+        self.by_etag.get(u32::from(etag.get())).map(Tag)
     }
 
+    /// Gives an event to the subscribers of its channel: O(1) for each, or O(length) of the queue of one
+    /// who wants the earliest deadline first.
     #[inline]
-    fn deliver(&mut self, at: u8, frame: &Frame, received_at: Instant) -> Accepted {
-        let Some(Some(entry)) = self.channels.get_mut(usize::from(at)) else { return Accepted::Foreign };
+    pub(crate) fn deliver(&mut self, tag: Tag, frame: &Frame, received_at: Instant) -> Accepted {
+        let event = Waiting {
+            received_at,
+            payload: frame.payload,
+            publisher: frame.id.tx_node(),
+            priority: frame.id.priority(),
+        };
+        let Some(Some(entry)) = self.channels.get_mut(usize::from(tag.0)) else { return Accepted::Foreign };
         let mut next = entry.first_subscription;
         if next == NONE {
             return Accepted::Foreign;
         }
-        let parts = if entry.declared.context {
-            Context::split(&frame.payload)
-        } else {
-            Some((Context::EMPTY, frame.payload))
-        };
-        let Some((context, content)) = parts else {
-            entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
-            return Accepted::Malformed(entry.declared.subject);
-        };
-        let event = Received { received_at, publisher: frame.id.tx_node(), context, content };
+        let mut context = Context::EMPTY;
+        if entry.declared.context {
+            let Some((carried, _)) = Context::split(&frame.payload) else {
+                entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
+                return Accepted::Malformed(entry.declared.subject);
+            };
+            context = carried;
+        }
         let mut accepted = Accepted::Delivered;
         while let Some(Some(subscriber)) = self.subscribers.get_mut(usize::from(next)) {
             next = subscriber.next;
-            if !subscriber.filter.matches(&event.context) {
+            if !subscriber.filter.matches(&context) {
                 entry.counters.filtered = entry.counters.filtered.wrapping_add(1);
                 continue;
             }
-            let deadline = || {
-                let steps = u64::from(frame.id.priority().get());
-                received_at + Duration::from_ticks(steps * self.map.step().as_ticks())
-            };
-            match subscriber.offer(&mut self.pool, event, deadline) {
+            match subscriber.offer(&mut self.pool, &event, self.map) {
                 Ok(replaced) => {
                     entry.counters.delivered = entry.counters.delivered.wrapping_add(1);
                     if replaced {
@@ -348,30 +368,30 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         accepted
     }
 
-    /// Gives an event that this node publishes to its own subscribers.
+    /// Does anybody subscribe to the channel here?
     #[inline]
-    pub(crate) fn deliver_locally(&mut self, outgoing: &Outgoing, now: Instant) -> Accepted {
-        self.deliver(outgoing.tag.0, &outgoing.frame, now)
+    pub(crate) fn is_subscribed(&self, tag: Tag) -> bool {
+        let entry = self.channels.get(usize::from(tag.0));
+        matches!(entry, Some(Some(entry)) if entry.first_subscription != NONE)
     }
 
-    /// Fetches the next event of a subscription. O(1).
+    /// Fetches the next event of a subscription; if its content is no value of the channel's type, only
+    /// when it arrived. O(1).
     #[inline]
-    pub(crate) fn next<C>(&mut self, subscription: &Subscription<C>) -> Option<Received> {
+    pub(crate) fn next<C: Content>(
+        &mut self,
+        subscription: &Subscription<C>,
+    ) -> Option<Result<Delivered<C>, Instant>> {
         let subscriber = self.subscribers.get_mut(usize::from(subscription.index))?.as_mut()?;
-        subscriber.list.pop(&mut self.pool)
+        let with_context = subscriber.context;
+        subscriber.list.pop(&mut self.pool, |event| decode(event, with_context).ok_or(event.received_at))
     }
 
-    /// As `next`; if there is none, the waker is woken by the next event.
-    pub(crate) fn poll_next<C>(&mut self, subscription: &Subscription<C>, waker: &Waker) -> Poll<Received> {
-        match self.next(subscription) {
-            Some(event) => Poll::Ready(event),
-            None => {
-                let place = self.subscribers.get_mut(usize::from(subscription.index));
-                if let Some(Some(subscriber)) = place {
-                    subscriber.waker = Some(waker.clone());
-                }
-                Poll::Pending
-            }
+    /// Has the waker woken by the next event of the subscription.
+    pub(crate) fn set_waker<C>(&mut self, subscription: &Subscription<C>, waker: &Waker) {
+        let place = self.subscribers.get_mut(usize::from(subscription.index));
+        if let Some(Some(subscriber)) = place {
+            subscriber.waker = Some(waker.clone());
         }
     }
 
@@ -485,24 +505,35 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     }
 }
 
+#[inline]
+fn decode<C: Content>(event: &Waiting, with_context: bool) -> Option<Delivered<C>> {
+    let (context, content) = if with_context {
+        let (context, content) = Context::split(&event.payload)?;
+        (context, C::decode(content.as_slice())?)
+    } else {
+        (Context::EMPTY, C::decode(event.payload.as_slice())?)
+    };
+    Some(Delivered { content, context, publisher: event.publisher, received_at: event.received_at })
+}
+
 impl Subscriber {
     /// Queues an event by the subscriber's policy. Says whether it replaced an earlier one.
     #[inline]
     fn offer<const N: usize>(
         &mut self,
         pool: &mut Pool<N>,
-        event: Received,
-        deadline: impl FnOnce() -> Instant,
+        event: &Waiting,
+        map: PriorityMap,
     ) -> Result<bool, PoolFull> {
         let full = self.list.len() >= self.policy.depth();
         match self.policy {
+            Policy::Fifo(_) if !full => self.list.push(pool, event).map(|()| false),
             Policy::Latest => {
-                let replaced = full && self.list.pop(pool).is_some();
-                self.list.push(pool, event, event.received_at).map(|()| replaced)
+                let replaced = full && self.list.pop(pool, |_| ()).is_some();
+                self.list.push(pool, event).map(|()| replaced)
             }
-            _ if full => Err(PoolFull),
-            Policy::Fifo(_) => self.list.push(pool, event, event.received_at).map(|()| false),
-            Policy::DeadlineOrder(_) => self.list.insert(pool, event, deadline()).map(|()| false),
+            Policy::DeadlineOrder(_) if !full => self.list.insert(pool, event, map.step()).map(|()| false),
+            _ => Err(PoolFull),
         }
     }
 }

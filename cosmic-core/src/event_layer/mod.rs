@@ -8,15 +8,13 @@ mod filter;
 mod layer;
 mod pool;
 
+pub use crate::protocol::Class;
 pub use attributes::{Attributes, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes};
 pub use channel::{Channel, ChannelCounters, Depth, Policy, Publication, Subscription};
 pub use content::{Content, layout_of};
 pub use exception::{Exception, ExceptionKind};
 pub use filter::{Attribute, Context, Filter, NoRoom};
-pub use layer::{AnnounceError, Event, EventLayer, PublishError, Published, SubscribeError};
-pub use pool::Received;
-
-pub use crate::protocol::Class;
+pub use layer::{AnnounceError, Delivered, Event, EventLayer, PublishError, Published, SubscribeError};
 
 pub(crate) use channel::Declared;
 pub(crate) use exception::Exceptions;

@@ -118,6 +118,11 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         }
     }
 
+    /// How remaining time becomes priority.
+    pub const fn priority_map(&self) -> PriorityMap {
+        self.map
+    }
+
     /// What went through.
     pub const fn counters(&self) -> EtchCounters {
         self.counters
