@@ -1,21 +1,25 @@
 //! The example cluster as the judge knows it: nodes, channels, calendar.
 //!
-//! The images carry the same facts (`firmware/src/cluster.rs`). The digest of the calendar travels in every
-//! sync frame, so a calendar that differs from this one is found out, not assumed.
+//! The images are built from the same plan. The digest of the calendar travels in every sync frame, so images
+//! of another plan are found out.
 
-use cosmic_core::calendar::{Calendar, Segment, Slot};
-use cosmic_core::can::{BitRate, Etag, TxNode};
+use std::sync::LazyLock;
+
+use cosmic_core::Subject;
+use cosmic_core::calendar::Calendar;
+use cosmic_core::can::{Etag, TxNode};
+use cosmic_core::event_layer::SoftAttributes;
 use cosmic_core::time::Duration;
 
 /// What the judge has to know of a cluster.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Cluster {
     /// When which hard real-time frame may be on the bus.
     pub calendar: &'static Calendar,
     /// The nodes.
-    pub nodes: &'static [Node],
+    pub nodes: Vec<Node>,
     /// The event channels.
-    pub channels: &'static [Channel],
+    pub channels: Vec<Channel>,
 }
 
 /// A node.
@@ -28,7 +32,7 @@ pub struct Node {
 }
 
 /// An event channel.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Channel {
     /// What it is called in tables.
     pub name: &'static str,
@@ -39,7 +43,7 @@ pub struct Channel {
     /// Who publishes.
     pub publisher: TxNode,
     /// Who subscribes.
-    pub subscribers: &'static [TxNode],
+    pub subscribers: Vec<TxNode>,
 }
 
 /// The class of a channel.
@@ -71,7 +75,7 @@ impl Class {
 
 impl Cluster {
     /// The node with this id.
-    pub fn node(&self, tx_node: TxNode) -> Option<&'static Node> {
+    pub fn node(&self, tx_node: TxNode) -> Option<&Node> {
         self.nodes.iter().find(|node| node.tx_node == tx_node)
     }
 
@@ -81,85 +85,67 @@ impl Cluster {
     }
 
     /// The channel with this etag.
-    pub fn channel(&self, etag: Etag) -> Option<&'static Channel> {
+    pub fn channel(&self, etag: Etag) -> Option<&Channel> {
         self.channels.iter().find(|channel| channel.etag == etag)
     }
 }
 
 /// The cluster of the example firmware.
-pub static EXAMPLE: Cluster = Cluster { calendar: &CALENDAR, nodes: &NODES, channels: &CHANNELS };
+pub static EXAMPLE: LazyLock<Cluster> = LazyLock::new(|| {
+    use plan::channels::{brake_force, logbook, suspension, temperature, wheel_speed};
+    let nodes = vec![
+        node(plan::nodes::sensor::NAME, plan::nodes::sensor::TX_NODE),
+        node(plan::nodes::brake::NAME, plan::nodes::brake::TX_NODE),
+        node(plan::nodes::diagnostics::NAME, plan::nodes::diagnostics::TX_NODE),
+    ];
+    let soft = |it: SoftAttributes| Class::Soft { deadline: it.deadline, validity: it.validity };
+    let channels = vec![
+        channel("wheel speed", wheel_speed::SUBJECT, wheel_speed::ETAG, Class::Hard),
+        channel("temperature", temperature::SUBJECT, temperature::ETAG, soft(temperature::ATTRIBUTES)),
+        channel("brake force", brake_force::SUBJECT, brake_force::ETAG, soft(brake_force::ATTRIBUTES)),
+        channel("suspension", suspension::SUBJECT, suspension::ETAG, soft(suspension::ATTRIBUTES)),
+        channel("logbook", logbook::SUBJECT, logbook::ETAG, Class::NonRealTime),
+    ];
+    Cluster { calendar: &plan::CALENDAR, nodes, channels: channels.into_iter().flatten().collect() }
+});
 
-static CALENDAR: Calendar = Calendar::checked(
-    Segment {
-        bit_rate: BitRate::MAX,
-        accuracy: Duration::from_micros(50),
-        release_jitter: Duration::from_micros(20),
-    },
-    Duration::from_millis(10),
-    &[Slot {
-        etag: WHEEL_SPEED,
-        publisher: SENSOR,
-        len: 8,
-        omission_degree: 1,
-        periodic: true,
-        period: Duration::from_millis(10),
-        phase: Duration::from_millis(2),
-    }],
-);
+/// What `cosmic-plan` has made of the description of the cluster; the images are built from the same file.
 
-static NODES: [Node; 3] = [
-    Node { name: "sensor", tx_node: SENSOR },
-    Node { name: "brake", tx_node: BRAKE },
-    Node { name: "diagnostics", tx_node: DIAGNOSTICS },
-];
-
-static CHANNELS: [Channel; 5] = [
-    Channel {
-        name: "wheel speed",
-        etag: WHEEL_SPEED,
-        class: Class::Hard,
-        publisher: SENSOR,
-        subscribers: &[BRAKE, DIAGNOSTICS],
-    },
-    Channel {
-        name: "temperature",
-        etag: etag(0x3FFF),
-        class: Class::Soft { deadline: Duration::from_millis(10), validity: Duration::from_millis(40) },
-        publisher: SENSOR,
-        subscribers: &[BRAKE],
-    },
-    Channel {
-        name: "brake force",
-        etag: etag(0x3FFE),
-        class: Class::Soft { deadline: Duration::from_millis(4), validity: Duration::from_millis(20) },
-        publisher: BRAKE,
-        subscribers: &[DIAGNOSTICS],
-    },
-    Channel {
-        name: "suspension",
-        etag: etag(0x3FFD),
-        class: Class::Soft { deadline: Duration::from_millis(2), validity: Duration::from_millis(8) },
-        publisher: DIAGNOSTICS,
-        subscribers: &[BRAKE],
-    },
-    Channel {
-        name: "logbook",
-        etag: etag(0x3FFC),
-        class: Class::NonRealTime,
-        publisher: DIAGNOSTICS,
-        subscribers: &[SENSOR],
-    },
-];
-
-const WHEEL_SPEED: Etag = etag(100);
-const SENSOR: TxNode = tx_node(1);
-const BRAKE: TxNode = tx_node(2);
-const DIAGNOSTICS: TxNode = tx_node(3);
-
-const fn etag(value: u16) -> Etag {
-    Etag::new(value).unwrap()
+pub mod plan {
+    include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware/plan/calendar.rs"));
 }
 
-const fn tx_node(value: u8) -> TxNode {
-    TxNode::new(value).unwrap()
+fn node(name: &'static str, tx_node: TxNode) -> Node {
+    Node { name, tx_node }
+}
+
+/// A channel of the plan; `None` if nobody publishes on it.
+fn channel(name: &'static str, subject: Subject, etag: Etag, class: Class) -> Option<Channel> {
+    use plan::nodes::{brake, diagnostics, sensor};
+    let nodes = [
+        (sensor::TX_NODE, sensor::PUBLISHES, sensor::SUBSCRIBES),
+        (brake::TX_NODE, brake::PUBLISHES, brake::SUBSCRIBES),
+        (diagnostics::TX_NODE, diagnostics::PUBLISHES, diagnostics::SUBSCRIBES),
+    ];
+    let publisher = nodes.iter().find(|(_, publishes, _)| publishes.contains(&subject))?.0;
+    let subscribers = nodes.iter().filter(|(.., subscribes)| subscribes.contains(&subject));
+    Some(Channel { name, etag, class, publisher, subscribers: subscribers.map(|it| it.0).collect() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_example_is_whole() {
+        let names: Vec<_> = EXAMPLE.channels.iter().map(|channel| channel.name).collect();
+        assert_eq!(names, ["wheel speed", "temperature", "brake force", "suspension", "logbook"]);
+        for channel in &EXAMPLE.channels {
+            assert!(!channel.subscribers.is_empty(), "{}", channel.name);
+            assert_eq!(channel.class == Class::Hard, channel.etag.is_hard());
+            assert!(EXAMPLE.node(channel.publisher).is_some());
+        }
+        let hard = EXAMPLE.channels.iter().filter(|channel| channel.class == Class::Hard);
+        assert!(hard.map(|it| it.etag).eq(EXAMPLE.calendar.slots().iter().map(|slot| slot.etag)));
+    }
 }

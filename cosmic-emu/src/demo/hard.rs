@@ -232,7 +232,7 @@ impl Judge<'_> {
         let Some(channel) = self.journal.cluster.channel(slot.etag) else { return Fate::Violated };
         let life = self.ledger.account(slot.etag).and_then(|account| account.events.get(&sequence));
         let mut everywhere = true;
-        for subscriber in channel.subscribers {
+        for subscriber in &channel.subscribers {
             let deliveries: Vec<_> = life.into_iter().flat_map(|life| life.deliveries_to(*subscriber)).collect();
             match deliveries.as_slice() {
                 [delivery] => self.visible(occurrence, *subscriber, delivery.visible_at, slots),

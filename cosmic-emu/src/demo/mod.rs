@@ -24,3 +24,4 @@ pub mod span;
 pub mod verdict;
 pub mod report;
 pub mod table;
+pub mod picture;

@@ -84,7 +84,7 @@ fn remaining(bit_rate: BitRate, now: VirtualInstant, deadline: VirtualInstant) -
 
 fn within_nodes(journal: &Journal, ledger: &Ledger, order: &mut Order) {
     let bound = bound(journal.bit_rate);
-    for node in journal.cluster.nodes {
+    for node in &journal.cluster.nodes {
         let queue = Queue::of(ledger, node.tx_node);
         for load in journal.bus.loads().iter().filter(|load| is_soft(load.frame.id)) {
             if load.frame.id.tx_node() != node.tx_node {

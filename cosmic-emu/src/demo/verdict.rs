@@ -308,7 +308,7 @@ impl Books<'_> {
     fn check_deliveries(&self, account: &Account, violations: &mut Vec<Violation>) {
         let channel = account.channel;
         let recent = (-Span::from(NOTIFIED)).after(self.journal.end);
-        for node in channel.subscribers {
+        for node in &channel.subscribers {
             let sent = account.events.values().filter(|life| life.sent_at.is_some_and(|at| at < recent));
             let lost = sent.filter(|life| life.deliveries_to(*node).next().is_none()).count();
             let told = |kind| self.ledger.count(*node, channel.etag, kind);

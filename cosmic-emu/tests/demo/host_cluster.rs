@@ -43,7 +43,7 @@ impl Node {
 impl Application<ClockService> for Node {
     fn start(&mut self, node: &mut Access<'_, ClockService>) -> Instant {
         let fifo = Policy::Fifo(Depth::new(16).unwrap());
-        for channel in EXAMPLE.channels {
+        for channel in &EXAMPLE.channels {
             if channel.subscribers.contains(&self.me) {
                 let subscription = node.subscribe(&declared(channel), Filter::ALL, fifo).unwrap();
                 self.subscriptions.push((channel.etag, subscription));

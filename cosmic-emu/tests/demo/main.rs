@@ -9,6 +9,7 @@ use cosmic_core::event_layer::ExceptionKind;
 use cosmic_emu::demo::example::EXAMPLE;
 use cosmic_emu::demo::hard::Fate;
 use cosmic_emu::demo::journal::Journal;
+use cosmic_emu::demo::picture;
 use cosmic_emu::demo::record::RecordKind;
 use cosmic_emu::demo::report::{Report, Settings};
 use cosmic_emu::demo::table::{Style, Tables, WIDTH};
@@ -67,7 +68,7 @@ fn a_quiet_run_passes_and_every_slot_is_seen() {
 
 #[test]
 fn faults_within_the_omission_degree_change_no_delivery_instant() {
-    let faults = FaultModel::seeded(11).with_inversion(Chance::new(0.01).unwrap());
+    let faults = FaultModel::seeded(11).with_inversion(Chance::new(0.03).unwrap());
     let journal = Run { faults, load_interval: 180, ..Run::quiet(3_000) }.journal();
     let verdict = Verdict::of(&journal);
     let text = summary(&journal, &verdict);
@@ -191,4 +192,18 @@ fn tables_fit_their_width() {
         assert!(line.chars().count() <= WIDTH, "{} columns: {line}", line.chars().count());
     }
     assert!(!text.contains('\x1b'));
+}
+
+#[test]
+fn the_picture_shows_the_slot_that_was_hit() {
+    let faults = FaultModel::seeded(11).with_inversion(Chance::new(0.03).unwrap());
+    let journal = Run { faults, load_interval: 130, ..Run::quiet(3_000) }.journal();
+    let verdict = Verdict::of(&journal);
+    let picture = picture::draw(&SETTINGS, &journal, &verdict);
+    for text in ["ready", "latest start (LST)", "deadline", "delivery", "destroyed", "attempt 2", "retransmission"] {
+        assert!(picture.contains(text), "{text}");
+    }
+    if let Some(path) = std::env::var_os("DEMO_PICTURE") {
+        std::fs::write(path, &picture).unwrap();
+    }
 }

@@ -1,0 +1,93 @@
+//! Some cycles of the calendar, one below the other, so that the slots stand in columns.
+
+use cosmic_bus::VirtualInstant;
+use cosmic_core::time::Duration;
+use svg::node::element::Group;
+
+use super::canvas::{Anchor, Area, Label, Scale, line};
+use super::frames::{self, Lane};
+use super::palette::{FAINT_INK, INK, LANE, MARK, WINDOW};
+use super::{LEFT, RIGHT};
+use crate::demo::hard::Occurrence;
+use crate::demo::journal::Journal;
+use crate::demo::verdict::Verdict;
+
+/// The height of the panel.
+pub(super) const HEIGHT: f64 = CYCLES as f64 * ROW + 44.0;
+
+/// Draws the cycle that starts at `start` in the middle, with its upper edge at `top`. `focus` is marked.
+pub(super) fn draw(
+    journal: &Journal,
+    verdict: &Verdict,
+    start: VirtualInstant,
+    focus: Option<&Occurrence>,
+    top: f64,
+) -> Group {
+    let cycle = journal.cluster.calendar.cycle();
+    let before = start.as_ticks().min(cycle.as_ticks() * (CYCLES / 2)) / cycle.as_ticks();
+    let first = start.as_ticks() - before * cycle.as_ticks();
+    let mut group = Group::new();
+    for row in 0..CYCLES {
+        let from = VirtualInstant::from_ticks(first + row * cycle.as_ticks());
+        let scale = Scale { from, until: from + cycle, left: LEFT, right: RIGHT };
+        let y = top + row as f64 * ROW;
+        let lane = Lane { scale, y: y + 13.0, height: 24.0, text: 9.0 };
+        let text = format!("{:.2}", from.as_ticks() as f64 / 1e6);
+        group = group
+            .add(Label::new(&text, 12.0).anchor(Anchor::End).at(LEFT - 12.0, lane.y + 16.0))
+            .add(Area::between(LEFT, RIGHT, lane.y, lane.height).rectangle(LANE));
+        let shown = verdict.slots.occurrences.iter().filter(|it| scale.shows(it.window.ready));
+        for occurrence in shown {
+            group = group.add(window(occurrence, &scale, y, focus == Some(occurrence)));
+        }
+        group = group.add(frames::draw(journal, &lane));
+        let shown = verdict.slots.occurrences.iter().filter(|it| scale.shows(it.window.ready));
+        for occurrence in shown {
+            group = group.add(instants(occurrence, &scale, y));
+        }
+    }
+    group.add(axis(cycle, top + CYCLES as f64 * ROW + 2.0))
+}
+
+fn window(occurrence: &Occurrence, scale: &Scale, y: f64, in_focus: bool) -> Group {
+    let (left, right) = (scale.x(occurrence.window.ready), scale.x(occurrence.window.delivery));
+    let area = Area::between(left, right, y + 6.0, 38.0);
+    let shape = area.rectangle(WINDOW).set("stroke", MARK);
+    let width = if in_focus { 2.4 } else { 0.8 };
+    let group = Group::new().add(shape.set("stroke-width", width));
+    if in_focus {
+        let label = Label::new("shown above", 10.0).bold().ink(MARK);
+        group.add(label.at(right + 4.0, y + 10.5))
+    } else {
+        group
+    }
+}
+
+/// Ready, LST, deadline and delivery, as ticks below the frames.
+fn instants(occurrence: &Occurrence, scale: &Scale, y: f64) -> Group {
+    let window = &occurrence.window;
+    let mut group = Group::new();
+    for (at, height) in
+        [(window.ready, 7.0), (window.latest_start, 5.0), (window.deadline, 5.0), (window.delivery, 7.0)]
+    {
+        let x = scale.x(at);
+        group = group.add(line((x, y + 37.0), (x, y + 37.0 + height), MARK, 1.4));
+    }
+    group
+}
+
+fn axis(cycle: Duration, y: f64) -> Group {
+    let mut group = Group::new().add(line((LEFT, y), (RIGHT, y), INK, 1.2));
+    let marks = cycle.as_millis().max(1);
+    for mark in 0..=marks {
+        let x = LEFT + (RIGHT - LEFT) * mark as f64 / marks as f64;
+        let text = format!("+{mark}");
+        group = group
+            .add(line((x, y), (x, y + 5.0), INK, 1.2))
+            .add(Label::new(&text, 11.0).ink(FAINT_INK).anchor(Anchor::Middle).at(x, y + 18.0));
+    }
+    group.add(Label::new("ms", 11.0).ink(FAINT_INK).anchor(Anchor::End).at(LEFT - 12.0, y + 18.0))
+}
+
+const CYCLES: u64 = 5;
+const ROW: f64 = 54.0;
