@@ -303,16 +303,16 @@ impl Entry {
     fn take(&mut self, answer: Answer, retry_at: Instant) {
         let subject = self.subject;
         match (self.state, answer) {
-            (State::Bound(old), Answer::Bound(new)) if old != new => {
+            (State::Bound(old), Answer::Bound(new)) if old == new => {}
+            (State::Bound(old), Answer::Bound(new)) => {
                 self.state = State::Bound(new);
                 // If the node has not even heard of the old one, the new one is the first.
                 self.untold = Some(match self.untold {
                     Some(BindingEvent::Bound { .. }) => BindingEvent::Bound { subject, etag: new },
                     Some(BindingEvent::Rebound { old, .. }) => BindingEvent::Rebound { subject, old, new },
-                    _ => BindingEvent::Rebound { subject, old, new },
+                    Some(BindingEvent::Refused { .. }) | None => BindingEvent::Rebound { subject, old, new },
                 });
             }
-            (State::Bound(old), Answer::Bound(new)) if old == new => {}
             (_, Answer::Bound(etag)) => {
                 self.state = State::Bound(etag);
                 self.untold = Some(BindingEvent::Bound { subject, etag });

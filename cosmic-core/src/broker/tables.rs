@@ -87,7 +87,9 @@ impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
     fn insert(&mut self, name: Name, at: usize) -> Result<(), Conflict<Name>> {
         match self.slots.get(at) {
             None => return Err(Conflict::OutOfRange),
-            Some(Slot::Promised(other) | Slot::Of(other)) if *other != name => return Err(Conflict::Taken(*other)),
+            Some(Slot::Promised(other) | Slot::Of(other)) if *other != name => {
+                return Err(Conflict::Taken(*other));
+            }
             Some(_) => {}
         }
         self.overwrite(name, at);

@@ -81,6 +81,10 @@ fn a_search_and_its_refusal() {
     assert_eq!(replies[15], assigned.encode());
     assert_eq!(search(&mut broker, now, 0x77)[15], assigned.encode(), "it keeps its id");
     assert_eq!(search(&mut broker, now, 0x78).len(), 16);
+    // Both are seen at work, so no id is left.
+    for (of, id) in [(0x77, TxNode::MAX), (0x78, tx_node(0x7D))] {
+        broker.on_frame(now, &NodeIdentity { tx_node: id, uid: uid(of) }.encode());
+    }
     assert_eq!(search(&mut broker, now, 0x79)[15], ConfigurationRefusal { uid: uid(0x79) }.encode());
     assert_eq!(broker.counters().no_id_left, 1);
     // Those that do not know a refusal are freed after a pause.
@@ -173,9 +177,12 @@ fn a_standby_waits_the_longer_the_higher_its_id_is() {
         let mut broker = listening();
         broker.set_tx_node(at(0), Some(tx_node(id)));
         broker.on_frame(at(5), &status(0xC0, 3));
-        let _ = frames(&mut broker, at(5));
-        broker.on_frame(at(200), &status(0xC0, 3));
-        let takeover = at(200) + TIMING.silence + TIMING.rank_step * u32::from(id);
+        let probes = (5..1000)
+            .flat_map(|now| frames(&mut broker, at(now)))
+            .filter(|frame| *frame == Probe { tx_node: tx_node(id) }.encode());
+        assert_eq!(probes.count(), 3);
+        broker.on_frame(at(1000), &status(0xC0, 3));
+        let takeover = at(1000) + TIMING.silence + TIMING.rank_step * u32::from(id);
         assert_eq!(broker.next_wakeup(), Some(takeover));
         let _ = frames(&mut broker, takeover.saturating_sub(Duration::from_ticks(1)));
         assert_eq!(broker.role(), Role::Standby);

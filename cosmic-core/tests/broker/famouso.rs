@@ -165,8 +165,11 @@ impl Station for OldClient {
     }
 }
 
-/// The ids, and the etags of each subject, of all nodes of both kinds; `None` until all have theirs.
-fn all_names(ether: &Ether, subject_of_old: u64) -> Option<(Vec<u8>, BTreeMap<u64, BTreeSet<u16>>)> {
+/// The ids of all nodes of both kinds, and the etags of each subject.
+type Names = (Vec<u8>, BTreeMap<u64, BTreeSet<u16>>);
+
+/// `None` until all have theirs.
+fn all_names(ether: &Ether, subject_of_old: u64) -> Option<Names> {
     let (mut ids, mut etags) = (Vec::new(), BTreeMap::<_, BTreeSet<_>>::new());
     for node in ether.nodes() {
         ids.push(node.tx_node()?.get());

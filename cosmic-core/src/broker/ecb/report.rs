@@ -1,0 +1,90 @@
+//! What a broker is told at its start, and what it tells.
+
+use crate::can::{Etag, TxNode};
+use crate::time::Duration;
+use crate::uid::{NodeUid, Subject};
+
+/// The spans of the broker.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct BrokerTiming {
+    /// How long a broker listens before it becomes active.
+    pub listen: Duration,
+    /// Between two status frames of the active broker.
+    pub status: Duration,
+    /// After how long a silent broker is taken for dead. Several times `status`.
+    pub silence: Duration,
+    /// How much later the broker with the next TxNode takes over.
+    pub rank_step: Duration,
+    /// How long a search for a UID waits for the next request until it is given up.
+    pub search: Duration,
+}
+
+impl BrokerTiming {
+    /// For a segment of 125 kbit/s and faster: a standby takes over within 1.3 s.
+    pub const DEFAULT: Self = Self {
+        listen: Duration::from_millis(300),
+        status: Duration::from_millis(250),
+        silence: Duration::from_secs(1),
+        rank_step: Duration::from_millis(2),
+        search: Duration::from_millis(250),
+    };
+}
+
+/// What a broker does.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Role {
+    /// Nothing: its node has no TxNode.
+    Off,
+    /// It gathers what the nodes know.
+    Listening,
+    /// It answers.
+    Active,
+    /// Another broker answers; this one mirrors its table.
+    Standby,
+}
+
+/// What the node that hosts the broker is told.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BrokerEvent {
+    /// The role has changed.
+    Became(Role),
+    /// A node has got its id; the table is worth storing.
+    Assigned {
+        /// The node.
+        uid: NodeUid,
+        /// Its id.
+        tx_node: TxNode,
+    },
+    /// A subject has got its etag; the table is worth storing.
+    Bound {
+        /// The subject.
+        subject: Subject,
+        /// Its etag.
+        etag: Etag,
+    },
+    /// No id is left for this node.
+    NoIdLeft(NodeUid),
+    /// No etag is left for this subject.
+    NoEtagLeft(Subject),
+}
+
+/// What a broker could not do; each counter stays at its maximum.
+#[derive(Clone, Copy, PartialEq, Eq, Default, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct BrokerCounters {
+    /// Replies dropped because too many were waiting to be sent; the nodes ask again.
+    pub replies_dropped: u16,
+    /// Events dropped because nobody polled.
+    pub events_dropped: u16,
+    /// Nodes refused.
+    pub no_id_left: u16,
+    /// Subjects refused.
+    pub no_etag_left: u16,
+    /// Searches for a UID given up because no node went on.
+    pub searches_given_up: u16,
+    /// Bindings of nodes that contradicted the table.
+    pub contradictions: u16,
+}
