@@ -105,9 +105,9 @@ impl<R: Receive> RxFrames<R> {
         None
     }
 
-    /// What was not handed over since the start.
-    pub fn losses(&self) -> RxLosses {
-        self.losses
+    /// What was not handed over since the last call.
+    pub fn take_losses(&mut self) -> RxLosses {
+        core::mem::take(&mut self.losses)
     }
 }
 

@@ -64,8 +64,11 @@ impl Board {
     /// Sets the clocks, starts the timer, and joins the bus.
     ///
     /// Waits until the crystal runs and the bus has been recessive for 11 bits; call it before interrupts
-    /// are enabled, as RTIC's `init` does. `timer` is the priority of the timer's interrupt, at or below
-    /// that of the tasks which it wakes.
+    /// are enabled, as RTIC's `init` does.
+    ///
+    /// `timer` is the priority of the timer's interrupt. No task of a higher one may read the clock: the
+    /// upper bits of the time are kept behind a lock that spins, and would spin for ever if such a task came
+    /// while the interrupt counts.
     ///
     /// # Errors
     /// If the settings ask for what the controller cannot do.

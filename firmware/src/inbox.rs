@@ -107,9 +107,17 @@ impl Sender {
     #[inline]
     pub fn send(&mut self, item: Item) {
         if self.queue.enqueue(item).is_err() {
-            self.lost.fetch_add(1, Ordering::Relaxed);
+            self.count_lost(1);
         }
         self.wake.write(());
+    }
+
+    /// Counts what was lost before it got here.
+    #[inline]
+    pub fn count_lost(&mut self, times: u32) {
+        if times > 0 {
+            self.lost.fetch_add(times, Ordering::Relaxed);
+        }
     }
 }
 
@@ -126,7 +134,7 @@ impl Inbox {
         self.wake.wait().await;
     }
 
-    /// How many things were lost because a queue was full, since the last call.
+    /// How many things were lost because a queue or FIFO was full, since the last call.
     pub fn take_lost(&mut self) -> u32 {
         self.lost.swap(0, Ordering::Relaxed)
     }

@@ -62,5 +62,6 @@ pub fn start(device: pac::Peripherals, tx_node: TxNode, rank: Rank, storage: &'s
     }
 }
 
-/// The timer must not wait for a task that it wakes: it has the priority of the calendar task.
+/// That of the calendar task, the highest: the timer must not wait for a task that it wakes, and everybody
+/// reads the clock.
 const TIMER_PRIORITY: u8 = 7;

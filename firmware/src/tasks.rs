@@ -77,22 +77,24 @@ pub fn receive_urgent(parts: &mut UrgentParts, mut buffers: impl Mutex<T = Buffe
     for _ in 0..FIFO_DEPTH {
         // Before anything else, since this is the time-stamp.
         let received_at = clock::now();
-        let Some(frame) = parts.fifo.read() else { return };
+        let Some(frame) = parts.fifo.read() else { break };
         if frame.id.priority() == Priority::HARD {
             buffers.lock(|buffers| buffers.on_frame(&frame, received_at));
         } else {
             parts.frames.send(Item::Frame(frame, received_at));
         }
     }
+    parts.frames.count_lost(parts.fifo.take_losses().overruns);
 }
 
 /// Frames of FIFO 1: all go to the event layer.
 pub fn receive_other(parts: &mut OtherParts) {
     for _ in 0..FIFO_DEPTH {
         let received_at = clock::now();
-        let Some(frame) = parts.fifo.read() else { return };
+        let Some(frame) = parts.fifo.read() else { break };
         parts.frames.send(Item::Frame(frame, received_at));
     }
+    parts.frames.count_lost(parts.fifo.take_losses().overruns);
 }
 
 /// What became of loaded frames.
@@ -121,7 +123,7 @@ pub async fn etch(
         }
         let lost = inbox.take_lost();
         if lost > 0 {
-            defmt::error!("{} frames or notices were lost on the way to the event layer", lost);
+            defmt::error!("{} frames, outcomes or notices were lost on the way to the event layer", lost);
         }
         let next = node.lock(|node| node.attend(clock::now(), &mut Locked(&mut buffers)));
         // Either will do: the instant has come, or something has arrived.

@@ -17,6 +17,7 @@ mod app {
     use cosmic_core::can::{BitRate, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
     use cosmic_core::time::Duration;
     use firmware::cluster::FILTERS;
+    use rtic_monotonics::stm32::Priority as TimerPriority;
 
     #[shared]
     struct Shared {
@@ -36,8 +37,7 @@ mod app {
     fn init(context: init::Context) -> (Shared, Local) {
         let _records = firmware::records::Records::start();
         let settings = Settings { bit_rate: BitRate::MAX, filters: &FILTERS };
-        let priority = rtic_monotonics::stm32::Priority::rtic_default();
-        let Ok(board) = Board::new(context.device, settings, priority) else {
+        let Ok(board) = Board::new(context.device, settings, TimerPriority::new(5)) else {
             defmt::panic!("the settings ask for what the board cannot do");
         };
         defmt::info!("smoke: up");
