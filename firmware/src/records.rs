@@ -1,7 +1,7 @@
 //! Logs and records, which a debug probe reads through RTT while the application runs.
 //!
-//! Up-channel 0 (`defmt`) carries the log. Up-channel 1 (`records`) carries one record of
-//! [`Record::LEN`] bytes, little-endian, for everything that happened to an event at this node:
+//! Up-channel 0 (`defmt`) carries the log. Up-channel 1 (`records`) carries one record of 24 bytes,
+//! little-endian, for everything that happened to an event at this node:
 //!
 //! | bytes | field | published | delivered | exception | refused |
 //! |---|---|---|---|---|---|

@@ -25,7 +25,7 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
     let mut tally = Tally::default();
     tally.add(check("formatting", workspace.cargo().args(["fmt", "--all", "--check"])));
     tally.add(clippy(workspace, &way));
-    tally.add(documentation(workspace));
+    tally.add(documentation(workspace, &way));
     tally.add(plan::check(workspace).map(|()| Tally::default()));
     tally.add(suite::host(workspace));
     tally.add(no_warnings(workspace, &way));
@@ -62,10 +62,18 @@ fn clippy(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     Ok(tally)
 }
 
-fn documentation(workspace: &Workspace) -> Result<Tally> {
-    let mut command = workspace.cargo();
-    command.args(["doc", "--no-deps"]).env("RUSTDOCFLAGS", "--deny warnings");
-    check("building the documentation", &mut command)
+fn documentation(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
+    let mut host = workspace.cargo();
+    host.args(["doc", "--no-deps"]).env("RUSTDOCFLAGS", "--deny warnings");
+    let mut tally = Tally::default();
+    tally.add(check("building the documentation", &mut host));
+    if *way == TargetWay::Rustup {
+        let mut target = way.cargo(workspace, "doc");
+        target.args(["--no-deps", "--package", "boards", "--package", "firmware"]);
+        target.env("RUSTDOCFLAGS", "--deny warnings");
+        tally.add(check("building the documentation of the firmware", &mut target));
+    }
+    Ok(tally)
 }
 
 /// Warnings about code for the target are errors here.

@@ -73,7 +73,7 @@ mod app {
         loop {
             next = next + Duration::from_millis(10);
             clock::delay_until(next).await;
-            let is_empty = context.shared.soft_is_empty.lock(|is_empty| core::mem::take(is_empty));
+            let is_empty = context.shared.soft_is_empty.lock(core::mem::take);
             if is_empty {
                 let payload = Payload::new(&number.to_be_bytes()).unwrap_or(Payload::EMPTY);
                 context.local.soft.load(&Frame::new(id, payload));
