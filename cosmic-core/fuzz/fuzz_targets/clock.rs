@@ -37,6 +37,6 @@ fuzz_target!(|bytes: &[u8]| {
 
 /// Most frames of the script have some other etag.
 fn near_sync(frame: &Frame) -> Frame {
-    let etag = if frame.id.etag().get() % 2 == 0 { Etag::SYNC } else { Etag::FOLLOW_UP };
+    let etag = if frame.id.etag().get().is_multiple_of(2) { Etag::SYNC } else { Etag::FOLLOW_UP };
     Frame::new(Id::new(frame.id.priority(), frame.id.tx_node(), etag), frame.payload)
 }

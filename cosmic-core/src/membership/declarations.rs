@@ -228,6 +228,15 @@ mod tests {
     }
 
     #[test]
+    fn two_nodes_with_different_layouts_are_both_told() {
+        let (mut one, mut other) = (declared(7), declared(8));
+        other.set_tx_node(at(0), Some(OTHER));
+        let (to_other, to_one) = (one.poll(at(0)).unwrap(), other.poll(at(0)).unwrap());
+        let mismatches = [one.on_frame(at(1), &to_one), other.on_frame(at(1), &to_other)];
+        assert_eq!(mismatches.map(|mismatch| mismatch.map(|of| of.tx_node)), [Some(OTHER), Some(ME)]);
+    }
+
+    #[test]
     fn without_an_id_a_node_is_silent() {
         let mut declarations = declared(7);
         declarations.set_tx_node(at(0), None);
