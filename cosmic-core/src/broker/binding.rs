@@ -6,7 +6,7 @@
 
 use super::Output;
 use super::halves::{Halves, Supply};
-use super::jitter::Jitter;
+use super::jitter::{Jitter, times};
 use crate::can::{Etag, Frame, TxNode};
 use crate::protocol::{Answer, GetEtag, Probe, SupplyEtag};
 use crate::time::{Duration, Instant};
@@ -263,7 +263,7 @@ impl<const N: usize> Binding<N> {
         self.turn = turn.map_or(0, |at| at + 1) % N;
         let frame = GetEtag { requester: tx_node, subject: entry.subject }.encode();
         // Of many nodes that got no answer not all ask again at once.
-        let patience = self.timing.reply * (1 << self.failures.min(5));
+        let patience = times(self.timing.reply, 1 << self.failures.min(5));
         let patience = if self.failures == 0 { patience } else { self.jitter.around(patience) };
         self.asked = Some(Asked { subject: entry.subject, frame, until: now + patience });
         self.send = Some(frame);

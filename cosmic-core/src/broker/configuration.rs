@@ -19,7 +19,7 @@
 //! apart, on a bus that was cut in two.
 
 use super::Output;
-use super::jitter::Jitter;
+use super::jitter::{Jitter, times};
 use crate::can::{Etag, Frame, TxNode};
 use crate::protocol::{
     ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, NodeIdentity, Prefix, Probe, Release,
@@ -389,7 +389,7 @@ impl Configuration {
         let request = ConfigurationRequest::new(self.uid, stage).encode();
         self.request = Some(request);
         self.send = Some(request);
-        let patience = self.timing.reply * (1 << self.failures.min(4));
+        let patience = times(self.timing.reply, 1 << self.failures.min(4));
         self.state = State::Asking { stage, until: now + patience, tries };
     }
 
@@ -400,7 +400,7 @@ impl Configuration {
 
     fn back_off(&mut self, now: Instant) {
         self.withdraw_request();
-        let pause = self.timing.back_off * (1 << self.failures.min(8));
+        let pause = times(self.timing.back_off, 1 << self.failures.min(8));
         let pause = if pause < self.timing.longest_back_off { pause } else { self.timing.longest_back_off };
         self.failures = self.failures.saturating_add(1);
         self.state = State::Idle { until: now + self.jitter.around(pause) };

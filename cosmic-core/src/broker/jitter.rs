@@ -24,8 +24,13 @@ impl Jitter {
 
     /// A span from half of `mean` to one and a half of it.
     pub(super) fn around(&mut self, mean: Duration) -> Duration {
-        Duration::from_ticks(mean.as_ticks() / 2) + self.below(mean)
+        Duration::from_ticks((mean.as_ticks() / 2).saturating_add(self.below(mean).as_ticks()))
     }
+}
+
+/// `span` a number of times, without an overflow: `fugit`'s own product would panic.
+pub(super) const fn times(span: Duration, factor: u64) -> Duration {
+    Duration::from_ticks(span.as_ticks().saturating_mul(factor))
 }
 
 #[cfg(test)]

@@ -27,6 +27,7 @@ pub use report::{BrokerCounters, BrokerEvent, BrokerTiming, Role};
 
 use super::Output;
 use super::halves::{Halves, Supply};
+use super::jitter::times;
 use super::session::{Session, Step};
 use super::tables::{Nodes, Subjects};
 use crate::can::{Etag, Frame, TxNode};
@@ -460,7 +461,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     }
 
     fn rank_delay(&self) -> Duration {
-        self.timing.rank_step * u32::from(self.tx_node.get())
+        times(self.timing.rank_step, self.tx_node.get().into())
     }
 
     /// Queues all frames, or none of them.
