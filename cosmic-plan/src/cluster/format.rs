@@ -49,6 +49,9 @@ pub struct SegmentTable {
     pub binding: Option<At<BindingName>>,
     /// How often the clock master sends sync and follow-up; "100 ms" if not given, "0 s" for never.
     pub sync_period: Option<At<Span>>,
+    /// May nodes fail to load their next frame within the inter-frame space (3 bit times)? Then a frame of
+    /// lower priority can slip in behind each, and bounds are longer. False if not given.
+    pub slow_refill: Option<At<bool>>,
     /// Δt_p: the span of deadlines that one priority stands for; the longest frame (160 bit times) if
     /// not given.
     pub priority_step: Option<At<PositiveSpan>>,
@@ -248,6 +251,7 @@ fn read_segment(table: &Table<'_>) -> SegmentTable {
         release_jitter: table.required("release_jitter", "write how late a node may act, such as \"10 us\""),
         binding: table.optional("binding"),
         sync_period: table.optional("sync_period"),
+        slow_refill: table.optional("slow_refill"),
         priority_step: table.optional("priority_step"),
     };
     table.finish();

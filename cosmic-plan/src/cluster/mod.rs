@@ -29,6 +29,8 @@ pub struct Cluster {
     pub binding: Binding,
     /// Δt_p: the span of deadlines that one priority stands for.
     pub priority_step: Duration,
+    /// A node may not manage to load its next frame within the inter-frame space.
+    pub slow_refill: bool,
     /// How often the clock master sends sync and follow-up; `None` without a clock service.
     pub sync_period: Option<Duration>,
     /// The faults under which soft and non real-time bounds hold.

@@ -55,6 +55,7 @@ impl Checker<'_> {
             segment,
             binding,
             priority_step,
+            slow_refill: file.segment.slow_refill.as_ref().is_some_and(|at| at.value),
             sync_period: Some(sync_period).filter(|span| !span.is_zero()),
             errors: file.errors.as_ref().map_or(ErrorModel::None, |errors| self.errors(errors)),
             nodes,

@@ -1,24 +1,55 @@
-//! `cosmic-plan build`
+//! `cosmic-plan new`, `cosmic-plan build` and `cosmic-plan render`
 
-use super::support::{Failure, INFEASIBLE, cluster, planned, write};
+use super::support::{Failure, planned, print_json, write};
+use cosmic_plan::output::{dbc, report, rust, svg, text};
 use std::path::Path;
 use std::process::ExitCode;
 
-pub(super) fn run(file: &Path, out: &Path, json: bool) -> Result<ExitCode, Failure> {
-    let cluster = cluster(file, json)?;
-    let plan = match planned(&cluster) {
-        Ok(plan) => plan,
-        Err(error) => {
-            println!("{error:?}");
-            return Ok(ExitCode::from(INFEASIBLE));
-        }
-    };
+pub(super) fn new(file: &Path) -> Result<ExitCode, Failure> {
+    if file.exists() {
+        return Err(Failure::Line(format!("{} exists; give another name", file.display())));
+    }
+    write(file, cosmic_plan::cluster::EXAMPLE)?;
+    println!("wrote {0}; now try: cosmic-plan check {0}", file.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+pub(super) fn build(file: &Path, out: &Path, json: bool) -> Result<ExitCode, Failure> {
+    let planned = planned(file, json)?;
+    let (cluster, plan, assessment) = (&planned.cluster, &planned.plan, &planned.assessment);
+    let name = file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let calendar = rust::render(cluster, plan, &name)
+        .map_err(|error| Failure::Line(format!("the calendar is wrong ({error:?}); please report this")))?;
+    let machine = report::of_plan(cluster, plan, assessment);
+    let files = [
+        ("calendar.rs", calendar),
+        ("report.json", format!("{machine:#}\n")),
+        ("report.txt", text::of_plan(cluster, plan, assessment)),
+        ("timeline.svg", svg::render(cluster, plan)),
+        ("segment.dbc", dbc::render(cluster)),
+    ];
     std::fs::create_dir_all(out).map_err(|error| {
         Failure::Line(format!("{} cannot be made: {error}; choose another --out", out.display()))
     })?;
-    let name = file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    let rust = cosmic_plan::output::rust::render(&cluster, &plan, &name)
-        .map_err(|error| Failure::Line(format!("the calendar is wrong ({error:?}); please report this")))?;
-    write(&out.join("calendar.rs"), &rust)?;
+    for (name, text) in &files {
+        write(&out.join(name), text)?;
+    }
+    if json {
+        let mut value = machine;
+        value["files"] = files.iter().map(|(name, _)| out.join(name).display().to_string()).collect();
+        print_json(&value);
+    } else {
+        println!("{}", text::summary(cluster, plan, assessment));
+        for (name, _) in &files {
+            println!("  wrote {}", out.join(name).display());
+        }
+    }
+    Ok(planned.exit_code())
+}
+
+pub(super) fn render(file: &Path, out: &Path) -> Result<ExitCode, Failure> {
+    let planned = planned(file, false)?;
+    write(out, &svg::render(&planned.cluster, &planned.plan))?;
+    println!("wrote {}", out.display());
     Ok(ExitCode::SUCCESS)
 }

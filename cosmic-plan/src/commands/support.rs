@@ -1,7 +1,10 @@
 //! What the commands share: reading, progress, failing.
 
+use cosmic_plan::analysis::segment::{Assessment, assess};
 use cosmic_plan::cluster::Cluster;
 use cosmic_plan::document::{Problems, Source};
+use cosmic_plan::output::{report, text};
+use cosmic_plan::plan::relax::relaxations;
 use cosmic_plan::plan::{Effort, NoPlan, Plan, plan};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::cell::RefCell;
@@ -22,6 +25,8 @@ pub(super) enum Failure {
     Document { problems: Box<Problems>, json: bool },
     /// A file cannot be read or written, or the like: one line with the remedy.
     Line(String),
+    /// There is no calendar: the explanation, for people or for machines.
+    NoPlan(String),
 }
 
 impl Failure {
@@ -36,6 +41,10 @@ impl Failure {
                 eprintln!("{count} problem{}; nothing was done", if count == 1 { "" } else { "s" });
             }
             Self::Line(line) => eprintln!("cosmic-plan: {line}"),
+            Self::NoPlan(text) => {
+                print_text(&text);
+                return ExitCode::from(INFEASIBLE);
+            }
         }
         ExitCode::from(BAD_INPUT)
     }
@@ -54,9 +63,52 @@ pub(super) fn cluster(file: &Path, json: bool) -> Result<Cluster, Failure> {
     Cluster::read(&source(file)?).map_err(|problems| Failure::Document { problems: Box::new(problems), json })
 }
 
-/// Plans with a progress bar that shows itself after a second.
-pub(super) fn planned(cluster: &Cluster) -> Result<Plan, NoPlan> {
-    with_progress(|watch| plan(cluster, &Effort { watch: Some(watch), ..Effort::default() }))
+/// A cluster, its plan and what is proven of it.
+#[derive(Debug)]
+pub(super) struct Planned {
+    pub(super) cluster: Cluster,
+    pub(super) plan: Plan,
+    pub(super) assessment: Assessment,
+}
+
+impl Planned {
+    /// The exit code that says whether all holds.
+    pub(super) fn exit_code(&self) -> ExitCode {
+        if self.assessment.holds() { ExitCode::SUCCESS } else { ExitCode::from(INFEASIBLE) }
+    }
+}
+
+/// Reads, plans and analyses, with a progress bar that shows itself after a second.
+pub(super) fn planned(file: &Path, json: bool) -> Result<Planned, Failure> {
+    let cluster = cluster(file, json)?;
+    let outcome = with_progress(|watch| {
+        let effort = Effort { watch: Some(watch), ..Effort::default() };
+        plan(&cluster, &effort).map_err(|failure| no_plan(&cluster, &failure, &effort, json))
+    });
+    let plan = outcome?;
+    if let Err(faults) = cosmic_plan::verify::verify(&cluster, &plan) {
+        let faults = faults.join("; ");
+        return Err(Failure::Line(format!(
+            "the independent check refuses the plan: {faults}; please report this"
+        )));
+    }
+    let assessment = with_progress(|watch| {
+        watch("analysing");
+        assess(&cluster, &plan)
+    });
+    Ok(Planned { cluster, plan, assessment })
+}
+
+fn no_plan(cluster: &Cluster, failure: &NoPlan, effort: &Effort<'_>, json: bool) -> Failure {
+    let ways_out = match failure {
+        NoPlan::Impossible(conflict) => relaxations(cluster, conflict, effort),
+        NoPlan::GaveUp { .. } => Vec::new(),
+    };
+    Failure::NoPlan(if json {
+        format!("{:#}\n", report::of_failure(cluster, failure, &ways_out))
+    } else {
+        text::of_failure(cluster, failure, &ways_out)
+    })
 }
 
 /// Runs something long with a progress bar that shows itself after a second.

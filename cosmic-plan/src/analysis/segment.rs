@@ -1,0 +1,446 @@
+//! Everything on a segment: does each channel keep what it promises?
+//!
+//! | class | bound | why |
+//! |---|---|---|
+//! | HRT | from the ready instant to delivery, always the same | the calendar |
+//! | SRT | from publication until sent | [`soft`](super::soft) |
+//! | NRT | from publication until the last frame has been sent | below |
+//! | foreign | from its nominal instant until sent | the sufficient test of [`fixed`](super::fixed) |
+//!
+//! An NRT event of n frames is sent frame by frame, each queued when the one before has been sent. A frame
+//! waits for all of higher priority, for one of lower priority, and, from the second on, for what gathered
+//! while the one before was on the wire; so each takes at most the response of the sufficient test with one
+//! frame more in front, and the event n times that. The bound holds if the event has gone before the next
+//! comes. Configuration and binding send frames only while nodes join; their longest frame is counted as
+//! blocking.
+
+use super::calendar_load::CalendarLoad;
+use super::fixed::Level;
+use super::frame::{arbitration_key, longest_frame_bits};
+use super::soft::{Rule, SoftBound, SoftBus, SoftStream};
+use super::{Bus, Stream};
+use crate::cluster::{Class, Cluster, Foreign};
+use crate::plan::Plan;
+use cosmic_core::can::{ERROR_RECOVERY_BITS, LONGEST_FRAME_BITS, Priority};
+use cosmic_core::time::Duration;
+
+/// Does a promise hold?
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Verdict {
+    /// The bound is within the deadline.
+    Meets,
+    /// The bound is beyond the deadline.
+    Misses,
+    /// There is no bound, but a deadline.
+    Unbounded,
+    /// There is no deadline; the bound is for information.
+    NoDeadline,
+}
+
+impl Verdict {
+    fn of(bound: Option<Duration>, deadline: Option<Duration>) -> Self {
+        match (bound, deadline) {
+            (_, None) => Self::NoDeadline,
+            (None, Some(_)) => Self::Unbounded,
+            (Some(bound), Some(deadline)) if bound <= deadline => Self::Meets,
+            _ => Self::Misses,
+        }
+    }
+
+    /// Is the promise kept?
+    pub fn holds(self) -> bool {
+        matches!(self, Self::Meets | Self::NoDeadline)
+    }
+
+    /// In a word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Meets => "meets",
+            Self::Misses => "misses",
+            Self::Unbounded => "unbounded",
+            Self::NoDeadline => "no deadline",
+        }
+    }
+}
+
+/// A part of a bound.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Term {
+    /// What takes this time.
+    pub name: String,
+    /// How much.
+    pub span: Duration,
+}
+
+/// What is proven of a channel and one of its publishers, or of a foreign frame.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Proof {
+    /// The longest latency; see the [module](self) for where it is counted from.
+    pub bound: Option<Duration>,
+    /// What it must not exceed.
+    pub deadline: Option<Duration>,
+    /// Does it?
+    pub verdict: Verdict,
+    /// How the bound comes about, in one sentence.
+    pub how: &'static str,
+    /// What the bound consists of.
+    pub terms: Vec<Term>,
+}
+
+/// A channel, its publisher and what is proven of them.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct ChannelProof {
+    /// Position in [`Cluster::channels`].
+    pub channel: usize,
+    /// Position in [`Cluster::nodes`].
+    pub node: usize,
+    /// What is proven.
+    pub proof: Proof,
+}
+
+/// Shares of time.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct Utilisation {
+    /// The windows of the calendar.
+    pub reserved: f64,
+    /// Hard real-time frames, without faults.
+    pub hard: f64,
+    /// Soft real-time frames.
+    pub soft: f64,
+    /// Non real-time frames.
+    pub non_real_time: f64,
+    /// Sync frames.
+    pub sync: f64,
+    /// Foreign frames.
+    pub foreign: f64,
+}
+
+impl Utilisation {
+    /// All frames together, without faults.
+    pub fn total(&self) -> f64 {
+        self.hard + self.soft + self.non_real_time + self.sync + self.foreign
+    }
+}
+
+/// Everything that is proven of a segment.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Assessment {
+    /// One for each channel and publisher, in the order of the file.
+    pub channels: Vec<ChannelProof>,
+    /// One for each foreign frame, in the order of the file.
+    pub foreign: Vec<Proof>,
+    /// Who takes how much.
+    pub utilisation: Utilisation,
+}
+
+impl Assessment {
+    /// Does every promise hold?
+    pub fn holds(&self) -> bool {
+        let channels = self.channels.iter().map(|channel| &channel.proof);
+        channels.chain(&self.foreign).all(|proof| proof.verdict.holds())
+    }
+}
+
+/// Analyses a segment beside its calendar.
+pub fn assess(cluster: &Cluster, plan: &Plan) -> Assessment {
+    let traffic = Traffic::of(cluster, plan);
+    let mut channels = traffic.soft_proofs(cluster);
+    for planned in plan.slots() {
+        if !channels.iter().any(|c| (c.channel, c.node) == (planned.channel, planned.node)) {
+            channels.push(hard_proof(cluster, plan, planned));
+        }
+    }
+    channels.extend(traffic.non_real_time_proofs(cluster));
+    channels.sort_by_key(|channel| (channel.channel, channel.node));
+    Assessment {
+        channels,
+        foreign: cluster
+            .foreign
+            .iter()
+            .enumerate()
+            .map(|(at, _)| traffic.foreign_proof(cluster, at))
+            .collect(),
+        utilisation: traffic.utilisation(plan),
+    }
+}
+
+fn hard_proof(cluster: &Cluster, plan: &Plan, planned: &crate::plan::PlannedSlot) -> ChannelProof {
+    let segment = plan.segment();
+    let (slot, times) = (&planned.slot, &planned.times);
+    let frame = segment.bit_rate.longest_frame(usize::from(slot.len));
+    let term = |name: &str, span: Duration| Term { name: name.to_owned(), span };
+    let mut terms =
+        vec![term("ΔT_wait: one frame that has just started, and a fault on it", times.latest_start)];
+    terms.push(term("the frame itself", frame));
+    let rest = times.deadline.as_ticks() - times.latest_start.as_ticks() - frame.as_ticks();
+    let again = match planned.pool {
+        Some(_) => "the pool's other frames and its shared fault budget".to_owned(),
+        None => format!("k = {} repetitions, each with error recovery", slot.omission_degree),
+    };
+    terms.push(term(&again, Duration::from_ticks(rest)));
+    terms.push(term("gap: 2ε + release jitter", segment.gap()));
+    let deadline = cluster.channels[planned.channel].deadline;
+    let proof = Proof {
+        bound: Some(times.delivery),
+        deadline: Some(deadline.unwrap_or(slot.period)),
+        // The planner places no slot beyond its deadline.
+        verdict: Verdict::Meets,
+        how: "from the slot's ready instant to delivery; every event takes exactly this, up to 2ε",
+        terms,
+    };
+    ChannelProof { channel: planned.channel, node: planned.node, proof }
+}
+
+/// What is on the bus, as streams.
+struct Traffic {
+    bus: Bus,
+    sync: Vec<Stream>,
+    soft: Vec<(usize, usize, SoftStream)>,
+    non_real_time: Vec<(usize, usize, Priority, u64, Stream)>,
+    foreign: Vec<(u8, u32, Stream)>,
+    longest: u64,
+    priority_step: u64,
+    reload: u64,
+    slow_refill: bool,
+}
+
+impl Traffic {
+    fn of(cluster: &Cluster, plan: &Plan) -> Self {
+        let rate = cluster.segment.bit_rate;
+        let bit = rate.bit_time().as_ticks();
+        let ours = |len: u16| longest_frame_bits(true, u8::try_from(len.min(8)).unwrap_or(8)) * bit;
+        let mut soft = Vec::new();
+        let mut non_real_time = Vec::new();
+        for (at, channel) in cluster.channels.iter().enumerate() {
+            let (period, jitter) = (channel.recurrence.span().as_ticks(), channel.jitter.as_ticks());
+            for node in (0..cluster.nodes.len()).filter(|n| cluster.nodes[*n].publishes.contains(&at)) {
+                let stream = Stream { transmission: ours(channel.length), period, jitter };
+                match &channel.class {
+                    Class::Hard { .. } => {}
+                    Class::Soft => {
+                        let deadline = channel.deadline.unwrap_or(channel.recurrence.span()).as_ticks();
+                        soft.push((at, node, SoftStream { stream, deadline }));
+                    }
+                    Class::NonRealTime { importance } => {
+                        let priority = Class::priority_of(*importance);
+                        non_real_time.push((at, node, priority, frames_of(channel.length), stream));
+                    }
+                }
+            }
+        }
+        let sync = cluster.sync_period.map(|period| Stream {
+            transmission: ours(8),
+            period: period.as_ticks(),
+            jitter: cluster.segment.release_jitter.as_ticks(),
+        });
+        Self {
+            bus: Bus {
+                bit,
+                recovery: u64::from(ERROR_RECOVERY_BITS) * bit,
+                errors: cluster.errors,
+                calendar: CalendarLoad::of(plan),
+            },
+            // A sync frame and its follow-up.
+            sync: sync.into_iter().flat_map(|stream| [stream, stream]).collect(),
+            soft,
+            non_real_time,
+            foreign: cluster.foreign.iter().map(|frame| foreign_stream(frame, bit)).collect(),
+            longest: u64::from(LONGEST_FRAME_BITS) * bit,
+            priority_step: cluster.priority_step.as_ticks(),
+            reload: cluster.segment.release_jitter.as_ticks(),
+            slow_refill: cluster.slow_refill,
+        }
+    }
+
+    fn soft_proofs(&self, cluster: &Cluster) -> Vec<ChannelProof> {
+        let mut above = self.sync.clone();
+        above.extend(self.foreign.iter().filter(|f| f.0 < Priority::CONFIGURATION.get()).map(|f| f.2));
+        let soft_bus = SoftBus {
+            bus: &self.bus,
+            above: &above,
+            blocking: self.longest,
+            longest: self.longest,
+            priority_step: self.priority_step,
+            reload: self.reload,
+            slow_refill: self.slow_refill,
+        };
+        let streams: Vec<SoftStream> = self.soft.iter().map(|s| s.2).collect();
+        let bounds = soft_bus.responses(&streams);
+        let proof = |(at, bound): (usize, Option<SoftBound>)| {
+            let (channel, node, _) = self.soft[at];
+            let deadline = cluster.channels[channel].deadline;
+            let (how, terms) = match bound {
+                Some(bound) => (rule_in_words(bound.rule), soft_terms(&soft_bus, &streams, at, &bound)),
+                None => ("the bus is overloaded: there is no bound", Vec::new()),
+            };
+            let bound = bound.map(|bound| Duration::from_ticks(bound.response));
+            let verdict = Verdict::of(bound, deadline);
+            ChannelProof { channel, node, proof: Proof { bound, deadline, verdict, how, terms } }
+        };
+        bounds.into_iter().enumerate().map(proof).collect()
+    }
+
+    /// Everything that goes before frames of this non real-time priority, but not those of one channel and
+    /// publisher.
+    fn above(&self, priority: u8, except: Option<(usize, usize)>) -> Vec<Stream> {
+        let mut above = self.sync.clone();
+        above.extend(self.soft.iter().map(|s| s.2.stream));
+        above.extend(self.foreign.iter().filter(|f| f.0 <= priority).map(|f| f.2));
+        let before =
+            |n: &&(usize, usize, Priority, u64, Stream)| n.2.get() <= priority && except != Some((n.0, n.1));
+        for &(_, node, _, frames, stream) in self.non_real_time.iter().filter(before) {
+            let same_node = except.is_some_and(|except| except.1 == node);
+            above.push(self.event(frames, stream, same_node));
+        }
+        above
+    }
+
+    /// All frames of an event as one. If nodes refill slowly, frames of one node do not follow each other
+    /// without a gap: others slip in, and what is left of the event before adds to it.
+    fn event(&self, frames: u64, stream: Stream, same_node: bool) -> Stream {
+        let slip = if self.slow_refill && same_node { self.longest } else { 0 };
+        let carried = if self.slow_refill && frames > 1 { stream.period } else { 0 };
+        Stream {
+            transmission: (stream.transmission + slip) * frames,
+            jitter: stream.jitter + carried,
+            ..stream
+        }
+    }
+
+    fn non_real_time_proofs(&self, cluster: &Cluster) -> Vec<ChannelProof> {
+        let mut proofs = Vec::new();
+        for &(channel, node, priority, frames, stream) in &self.non_real_time {
+            let higher = self.above(priority.get(), Some((channel, node)));
+            let level = Level { higher: &higher, blocking: self.longest, longest: self.longest };
+            let before = if frames > 1 { stream.transmission } else { 0 };
+            let single = Stream { jitter: 0, ..stream };
+            let one = level.sufficient(&single, &self.bus, before);
+            let all = one.and_then(|one| one.checked_mul(frames));
+            let bound = all.filter(|all| all + stream.jitter <= stream.period).map(Duration::from_ticks);
+            let how = match (bound, frames) {
+                (None, _) => "events would come faster than they can be sent at worst: there is no bound",
+                (Some(_), 1) => "from publication until sent, behind everything of higher priority",
+                (Some(_), _) => {
+                    "from publication until the last fragment has been sent, each behind everything else"
+                }
+            };
+            let terms = match (bound, one) {
+                (Some(_), Some(one)) => self.level_terms(&level, &single, before, frames, one),
+                _ => Vec::new(),
+            };
+            let deadline = cluster.channels[channel].deadline;
+            let verdict = Verdict::of(bound, deadline);
+            proofs.push(ChannelProof {
+                channel,
+                node,
+                proof: Proof { bound, deadline, verdict, how, terms },
+            });
+        }
+        proofs
+    }
+
+    fn level_terms(
+        &self,
+        level: &Level<'_>,
+        stream: &Stream,
+        extra: u64,
+        frames: u64,
+        one: u64,
+    ) -> Vec<Term> {
+        let start = one - stream.transmission - stream.jitter;
+        let term = |name: &str, each: u64| Term {
+            name: if frames > 1 { format!("{frames} × {name}") } else { name.to_owned() },
+            span: Duration::from_ticks(frames * each),
+        };
+        let front = level.blocking.max(stream.transmission) + extra;
+        let hard = self.bus.calendar.within(start + self.bus.bit);
+        let faults = self.bus.error_overhead(start + stream.transmission, level.longest);
+        vec![
+            term("frames that have just started", front),
+            term("frames of higher priority", start.saturating_sub(front + hard + faults)),
+            term("hard real-time frames", hard),
+            term("faults", faults),
+            term("the frame itself", stream.transmission),
+        ]
+    }
+
+    fn foreign_proof(&self, cluster: &Cluster, at: usize) -> Proof {
+        let (priority, key, stream) = self.foreign[at];
+        let mut higher = self.sync.clone();
+        higher.extend(self.soft.iter().map(|s| s.2.stream));
+        higher.extend(self.foreign.iter().filter(|f| f.1 < key).map(|f| f.2));
+        for &(_, _, _, frames, stream) in self.non_real_time.iter().filter(|n| n.2.get() <= priority) {
+            higher.push(self.event(frames, stream, false));
+        }
+        let level = Level { higher: &higher, blocking: self.longest, longest: self.longest };
+        let bound = level.sufficient(&stream, &self.bus, 0).filter(|bound| *bound <= stream.period);
+        let deadline = cluster.foreign[at].deadline;
+        let how = match bound {
+            Some(_) => "from its nominal instant until sent, behind everything that may go before it",
+            None => "there is no bound within its period",
+        };
+        let terms = bound.map_or_else(Vec::new, |one| self.level_terms(&level, &stream, 0, 1, one));
+        let bound = bound.map(Duration::from_ticks);
+        Proof { bound, deadline, verdict: Verdict::of(bound, deadline), how, terms }
+    }
+
+    fn utilisation(&self, plan: &Plan) -> Utilisation {
+        let sum = |streams: &mut dyn Iterator<Item = Stream>| streams.map(|s| s.utilisation()).sum();
+        let events = self.non_real_time.iter();
+        Utilisation {
+            reserved: plan.reserved(),
+            hard: self.bus.calendar.utilisation(),
+            soft: sum(&mut self.soft.iter().map(|s| s.2.stream)),
+            non_real_time: events.map(|n| n.3 as f64 * n.4.utilisation()).sum(),
+            sync: sum(&mut self.sync.iter().copied()),
+            foreign: sum(&mut self.foreign.iter().map(|f| f.2)),
+        }
+    }
+}
+
+fn soft_terms(bus: &SoftBus<'_>, streams: &[SoftStream], at: usize, bound: &SoftBound) -> Vec<Term> {
+    let mut terms: Vec<Term> = Vec::new();
+    if bound.rule == Rule::EdgeOfBand {
+        let outside = Duration::from_ticks(bound.response - bound.start);
+        terms.push(Term {
+            name: "until the deadline is within the band of priorities".to_owned(),
+            span: outside,
+        });
+        let pending = "until all that can be pending then has been sent".to_owned();
+        terms.push(Term { name: pending, span: Duration::from_ticks(bound.start) });
+        return terms;
+    }
+    for (name, ticks) in bus.terms(streams, at, bound) {
+        terms.push(Term { name: name.to_owned(), span: Duration::from_ticks(ticks) });
+    }
+    terms
+}
+
+fn rule_in_words(rule: Rule) -> &'static str {
+    match rule {
+        Rule::DeadlineOrder => {
+            "from publication until sent, behind frames with deadlines before it or Δt_p later"
+        }
+        Rule::BusyPeriod => "from publication until sent: all soft frames together, in whatever order",
+        Rule::EdgeOfBand => {
+            "the deadline is beyond the band of priorities; from its edge on by order of deadlines"
+        }
+    }
+}
+
+/// The frames of an event: itself, or fragments with a header byte each and a checksum behind all.
+fn frames_of(length: u16) -> u64 {
+    if length <= 8 { 1 } else { (u64::from(length) + 2).div_ceil(7) }
+}
+
+/// What a foreign frame's first eight bits would be as our priority; where it stands in arbitration.
+fn foreign_stream(frame: &Foreign, bit: u64) -> (u8, u32, Stream) {
+    let key = arbitration_key(frame.id, frame.extended);
+    let priority = (key >> 22) as u8;
+    let stream = Stream {
+        transmission: longest_frame_bits(frame.extended, frame.length) * bit,
+        period: frame.period.as_ticks(),
+        jitter: frame.jitter.as_ticks(),
+    };
+    (priority, key, stream)
+}
