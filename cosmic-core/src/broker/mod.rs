@@ -15,7 +15,7 @@
 //!    `Binding`, and what its `Binding` sends to its own broker.
 //! 2. After that and after any other call that changes something, and when `next_wakeup` is due, call
 //!    `poll` until it returns `None`, or stop while the node's transmit queue is full, and go on when it
-//!    has room.
+//!    has room. When `poll` has returned `None`, the next wake-up lies ahead; before that it may not.
 //! 3. Carry out each [`Output`] in its order.
 //!
 //! A `poll` that comes late delays the protocol, and one that comes early does nothing. Lost, repeated

@@ -93,14 +93,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             probes: 0,
             replies: Ring::new(),
             events: Ring::new(),
-            counters: BrokerCounters {
-                replies_dropped: 0,
-                events_dropped: 0,
-                no_id_left: 0,
-                no_etag_left: 0,
-                searches_given_up: 0,
-                contradictions: 0,
-            },
+            counters: BrokerCounters::ZERO,
         }
     }
 

@@ -88,3 +88,15 @@ pub struct BrokerCounters {
     /// Bindings of nodes that contradicted the table.
     pub contradictions: u16,
 }
+
+impl BrokerCounters {
+    /// Nothing has happened.
+    pub const ZERO: Self = Self {
+        replies_dropped: 0,
+        events_dropped: 0,
+        no_id_left: 0,
+        no_etag_left: 0,
+        searches_given_up: 0,
+        contradictions: 0,
+    };
+}
