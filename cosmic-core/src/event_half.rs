@@ -61,8 +61,7 @@ pub enum Step {
 const PUBLISHES: Role = Role { publishes: true, subscribes: false };
 const SUBSCRIBES: Role = Role { publishes: false, subscribes: true };
 
-/// Frames of the services; channels have smaller numbers.
-const SERVICES: Tag = Tag(u8::MAX);
+const SERVICES: Tag = Tag::SERVICES;
 
 /// Exceptions that wait for the application; further ones are counted only.
 const EXCEPTIONS: usize = 16;
@@ -335,7 +334,9 @@ impl<
     /// What is to be done now; at most one command a call. O(SOFT + NRT), and what the services need.
     pub fn poll(&mut self, now: Instant, hard: &mut impl HardAccess<SLOTS>) -> Step {
         let view = NodeView { exceptions: self.exceptions.total(), ..self.view };
-        while let Some(request) = self.services.poll(now, &view) {
+        // What has no room now is asked for again when a frame has been sent.
+        while self.etch.has_room_for_services() {
+            let Some(request) = self.services.poll(now, &view) else { break };
             if let Some(command) = self.carry_out(request, now, hard) {
                 return Step::Command(command);
             }
@@ -345,7 +346,11 @@ impl<
                 soft::Step::Command(command) => return Step::Command(command),
                 soft::Step::Exception(exception) => self.raise_soft(&exception, now),
                 soft::Step::SleepUntil(instant) => {
-                    return Step::SleepUntil(instant.min(self.services.next_wakeup()));
+                    let services = match self.etch.has_room_for_services() {
+                        true => self.services.next_wakeup(),
+                        false => Instant::FAR_FUTURE,
+                    };
+                    return Step::SleepUntil(instant.min(services));
                 }
             }
         }
@@ -389,6 +394,10 @@ impl<
                 if self.layer.bind(subject, etag).is_err() {
                     self.raise(Some(subject), ExceptionKind::BindingRefused, now);
                 }
+                Ok(None)
+            }
+            Request::Unbound(subject) => {
+                self.layer.unbind(subject);
                 Ok(None)
             }
             Request::Exception(subject, kind) => {

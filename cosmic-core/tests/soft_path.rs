@@ -1,11 +1,16 @@
 //! The soft and non real-time path against a plain oracle, in virtual time.
 
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
-use cosmic_core::network::soft::{Etch, Exception, ExceptionKind, Full, Outgoing, PriorityMap, Step, Tag};
+use cosmic_core::network::soft::{
+    Etch, Exception, ExceptionKind, Full, Outgoing, PriorityMap, RESERVED, Step, Tag,
+};
 use cosmic_core::time::{Duration, Instant};
 use proptest::prelude::*;
 
 const MAP: PriorityMap = PriorityMap::of(BitRate::MAX);
+/// Room for four events of each class.
+type Path = Etch<{ 4 + RESERVED }, { 4 + RESERVED }>;
+
 const STEP: Duration = Duration::from_micros(160);
 
 fn at(microseconds: u64) -> Instant {
@@ -44,7 +49,7 @@ fn remaining_time_becomes_priority() {
 
 #[test]
 fn a_frame_is_promoted_as_its_deadline_nears() {
-    let mut etch = Etch::<4, 4>::new(MAP);
+    let mut etch = Path::new(MAP);
     let command = etch.submit_soft(at(0), soft(1, at(500), at(1_000))).unwrap();
     let Some(Command::Load(Mailbox::Soft, frame)) = command else { panic!("{command:?}") };
     // 500 µs are three whole steps of 160 µs: priority 4, TxNode 5, etag 0x3FFF.
@@ -59,7 +64,7 @@ fn a_frame_is_promoted_as_its_deadline_nears() {
 
 #[test]
 fn an_earlier_deadline_overtakes_what_waits_in_the_mailbox() {
-    let mut etch = Etch::<4, 4>::new(MAP);
+    let mut etch = Path::new(MAP);
     assert!(etch.submit_soft(at(0), soft(1, at(20_000), at(90_000))).unwrap().is_some());
     assert!(etch.submit_soft(at(10), soft(2, at(5_000), at(90_000))).unwrap().is_none());
     assert_eq!(etch.poll(at(10)), Step::Command(Command::Withdraw(Mailbox::Soft)));
@@ -73,7 +78,7 @@ fn an_earlier_deadline_overtakes_what_waits_in_the_mailbox() {
 
 #[test]
 fn a_frame_on_the_wire_may_be_sent_in_spite_of_its_withdrawal() {
-    let mut etch = Etch::<4, 4>::new(MAP);
+    let mut etch = Path::new(MAP);
     let _ = etch.submit_soft(at(0), soft(1, at(20_000), at(90_000))).unwrap();
     let _ = etch.submit_soft(at(10), soft(2, at(5_000), at(90_000))).unwrap();
     assert_eq!(etch.poll(at(10)), Step::Command(Command::Withdraw(Mailbox::Soft)));
@@ -85,7 +90,7 @@ fn a_frame_on_the_wire_may_be_sent_in_spite_of_its_withdrawal() {
 
 #[test]
 fn a_missed_deadline_is_told_once_and_the_event_is_still_sent() {
-    let mut etch = Etch::<4, 4>::new(MAP);
+    let mut etch = Path::new(MAP);
     let _ = etch.submit_soft(at(0), soft(1, at(100), at(900))).unwrap();
     assert_eq!(etch.poll(at(50)), Step::SleepUntil(at(100)));
     let missed = Exception { tag: Tag(1), kind: ExceptionKind::MissedDeadline };
@@ -98,7 +103,7 @@ fn a_missed_deadline_is_told_once_and_the_event_is_still_sent() {
 
 #[test]
 fn an_expired_event_is_discarded_from_queue_and_mailbox() {
-    let mut etch = Etch::<4, 4>::new(MAP);
+    let mut etch = Path::new(MAP);
     let _ = etch.submit_soft(at(0), soft(1, at(100), at(200))).unwrap();
     let _ = etch.submit_soft(at(0), soft(2, at(150), at(180))).unwrap();
     let mut told = Vec::new();
@@ -126,7 +131,7 @@ fn an_expired_event_is_discarded_from_queue_and_mailbox() {
 
 #[test]
 fn importance_rules_among_non_real_time_events() {
-    let mut etch = Etch::<4, 4>::new(MAP);
+    let mut etch = Path::new(MAP);
     assert!(etch.submit_non_real_time(at(0), bulk(1, 255)).unwrap().is_some());
     for (number, priority) in [(2, 252), (3, 255), (4, 252)] {
         assert!(etch.submit_non_real_time(at(0), bulk(number, priority)).unwrap().is_none());
@@ -146,7 +151,7 @@ fn importance_rules_among_non_real_time_events() {
 
 #[test]
 fn recalled_events_are_not_sent() {
-    let mut etch = Etch::<4, 4>::new(MAP);
+    let mut etch = Path::new(MAP);
     let _ = etch.submit_soft(at(0), soft(1, at(1_000), at(2_000))).unwrap();
     let _ = etch.submit_soft(at(0), soft(1, at(1_500), at(2_000))).unwrap();
     let _ = etch.submit_soft(at(0), soft(2, at(1_800), at(2_000))).unwrap();
@@ -155,6 +160,28 @@ fn recalled_events_are_not_sent() {
     let departure = etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(1));
     assert_eq!((departure.sent, departure.exception), (None, None));
     assert_eq!(loaded(etch.poll(at(1))).1.payload.as_slice(), [2]);
+}
+
+#[test]
+fn the_services_have_places_of_their_own() {
+    let mut etch = Path::new(MAP);
+    let mut accepted = 0;
+    while etch.submit_soft(at(0), soft(1, at(9_000), at(99_000))).is_ok() {
+        accepted += 1;
+    }
+    assert_eq!(accepted, 4);
+    let sync = soft(0, at(0), at(0)).frame;
+    for _ in 0..RESERVED {
+        assert!(etch.has_room_for_services());
+        assert_eq!(etch.submit_urgent(at(1), Tag::SERVICES, sync), Ok(None));
+    }
+    assert!(!etch.has_room_for_services());
+    assert_eq!(etch.submit_urgent(at(1), Tag::SERVICES, sync), Err(Full));
+    // They go before everything else.
+    assert_eq!(etch.poll(at(1)), Step::Command(Command::Withdraw(Mailbox::Soft)));
+    etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(2));
+    let (_, frame) = loaded(etch.poll(at(2)));
+    assert_eq!((frame.id.priority(), frame.payload), (Priority::SOFT_MOST_URGENT, sync.payload));
 }
 
 #[derive(Clone, Debug)]
@@ -177,7 +204,7 @@ fn operation() -> impl Strategy<Value = Operation> {
 
 /// One node whose controller answers at once.
 struct Model {
-    etch: Etch<8, 1>,
+    etch: Etch<{ 8 + RESERVED }, { 1 + RESERVED }>,
     now: Instant,
     in_mailbox: Option<Frame>,
     waiting: Vec<(Instant, usize, u8, Instant)>,

@@ -410,6 +410,15 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         self.name(at as u8, etag)
     }
 
+    /// The subject has no etag any more: nothing is published or received on its channel. O(CHANNELS).
+    pub(crate) fn unbind(&mut self, subject: Subject) {
+        let Some(at) = self.find(subject) else { return };
+        let former = self.entry_mut(at as u8).and_then(|entry| entry.etag.take());
+        if let Some(former) = former {
+            self.by_etag.remove(u32::from(former.get()));
+        }
+    }
+
     /// Does this node publish on the channel, and does it subscribe to it? O(CHANNELS).
     pub(crate) fn roles(&self, subject: Subject) -> (bool, bool) {
         let entry = self.find(subject).and_then(|at| self.channels.get(at)?.as_ref());

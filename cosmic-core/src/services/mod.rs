@@ -36,6 +36,8 @@ pub enum Request {
     TxNode(Option<TxNode>),
     /// This is the etag of the subject.
     Bound(Subject, Etag),
+    /// The subject has no etag any more.
+    Unbound(Subject),
     /// Tell the application.
     Exception(Option<Subject>, ExceptionKind),
 }

@@ -314,7 +314,8 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
                     Some(self.on_bound(subject, Some(old), new, now))
                 }
                 BindingEvent::Refused { subject } => {
-                    Some(Request::Exception(Some(subject), ExceptionKind::BindingRefused))
+                    self.ask(Request::Exception(Some(subject), ExceptionKind::BindingRefused));
+                    Some(self.on_refused(subject, now))
                 }
             },
         }
@@ -324,6 +325,8 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         if let Some(old) = old {
             self.declarations.withdraw(now, old, Side::Publisher);
             self.declarations.withdraw(now, old, Side::Subscriber);
+            // Another subject may have been given the old etag just before.
+            self.wanted.iter_mut().flatten().for_each(|wanted| wanted.changed = true);
         }
         let of_subject = |wanted: &&mut Wanted| wanted.subject == subject;
         if let Some(wanted) = self.wanted.iter_mut().flatten().find(of_subject) {
@@ -331,6 +334,17 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             wanted.changed = true;
         }
         Request::Bound(subject, etag)
+    }
+
+    /// The subject has no etag; if it had one, that is another's now.
+    fn on_refused(&mut self, subject: Subject, now: Instant) -> Request {
+        let of_subject = |wanted: &&mut Wanted| wanted.subject == subject;
+        let wanted = self.wanted.iter_mut().flatten().find(of_subject);
+        if let Some(old) = wanted.and_then(|wanted| wanted.etag.take()) {
+            self.declarations.withdraw(now, old, Side::Publisher);
+            self.declarations.withdraw(now, old, Side::Subscriber);
+        }
+        Request::Unbound(subject)
     }
 
     fn poll_broker(&mut self, now: Instant) -> Option<Request> {
@@ -355,8 +369,9 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             let sides = [(Side::Publisher, wanted.publishes), (Side::Subscriber, wanted.subscribes)];
             for (side, declared) in sides {
                 if declared {
-                    // There is room: two for each channel.
-                    let _ = self.declarations.declare(now, etag, side, wanted.class, wanted.layout);
+                    let told = self.declarations.declare(now, etag, side, wanted.class, wanted.layout);
+                    // While withdrawals wait to be sent there may be no room; it is tried again.
+                    wanted.changed |= told.is_err();
                 } else {
                     self.declarations.withdraw(now, etag, side);
                 }

@@ -63,7 +63,7 @@ const UNPLANNED: Channel<u8> = Channel::hard(
 
 const NOW: Instant = Instant::EPOCH;
 
-type Half = EventHalf<2, 4, 4, 8, 4, 4>;
+type Half = EventHalf<2, 4, 4, 8, 6, 6>;
 
 struct Node {
     half: Half,

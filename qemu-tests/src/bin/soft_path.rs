@@ -9,7 +9,7 @@
 use core::hint::black_box;
 
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
-use cosmic_core::network::soft::{Etch, Exception, Full, Outgoing, PriorityMap, Step, Tag};
+use cosmic_core::network::soft::{Etch, Exception, Full, Outgoing, PriorityMap, RESERVED, Step, Tag};
 use cosmic_core::time::{Duration, Instant};
 use qemu_tests::controller::{Controller, Sender, Sent};
 use qemu_tests::mono::Mono;
@@ -92,7 +92,7 @@ fn urgent() {
 
 /// A node with the path under test, on a bus with a peer.
 struct Node {
-    etch: Etch<5, 4>,
+    etch: Etch<{ 5 + RESERVED }, { 4 + RESERVED }>,
     controller: Controller,
     now: Instant,
 }
@@ -223,7 +223,7 @@ fn nanoseconds(at: Instant) -> u64 {
 
 /// What the calls cost, with an empty queue and with a full one.
 fn measure() {
-    let mut etch = Etch::<64, 64>::new(PriorityMap::of(BitRate::MAX));
+    let mut etch = Etch::<{ 64 + RESERVED }, { 64 + RESERVED }>::new(PriorityMap::of(BitRate::MAX));
     let now = Instant::EPOCH;
     print_measured(
         "soft event on an idle node: submit, poll, sent, poll",

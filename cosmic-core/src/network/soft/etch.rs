@@ -1,6 +1,6 @@
 //! The event-triggered channel handler: earliest deadline first by the priority field.
 
-use super::lane::{Attended, Departure, Entry, Exception, Lane, Outgoing, Tag};
+use super::lane::{Attended, Departure, Entry, Exception, Lane, Outgoing, RESERVED, Tag};
 use crate::can::{BitRate, Command, Frame, Id, Mailbox, Outcome, Payload, Priority};
 use crate::time::{Duration, Instant};
 
@@ -90,7 +90,9 @@ pub struct EtchCounters {
     pub withdrawn: u32,
 }
 
-/// The soft and non real-time path of a node, with room for `SOFT` and `NRT` events.
+/// The soft and non real-time path of a node, with room for `SOFT` and `NRT` events, of which
+/// [`RESERVED`] places each are kept for [`Tag::SERVICES`]: however many events an application publishes,
+/// the clock goes on.
 ///
 /// Calls may come in any order: [`submit_soft`](Self::submit_soft) and
 /// [`submit_non_real_time`](Self::submit_non_real_time) from the event layer,
@@ -109,6 +111,7 @@ pub struct Etch<const SOFT: usize, const NRT: usize> {
 impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     /// A path with empty queues and empty mailboxes.
     pub const fn new(map: PriorityMap) -> Self {
+        const { assert!(SOFT > RESERVED && NRT > RESERVED, "some places are kept for the services") };
         Self {
             map,
             soft: Lane::new(Mailbox::Soft),
@@ -165,7 +168,8 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
             self.soft.load_directly(key, entry);
             return Ok(Some(self.load_soft(now, &entry.outgoing)));
         }
-        self.soft.push(key, entry).map(|()| None).map_err(|_| self.refuse())
+        let reserve = entry.outgoing.tag.reserve();
+        self.soft.push(key, entry, reserve).map(|()| None).map_err(|_| self.refuse())
     }
 
     /// Takes a non real-time event; the priority of its frame says how important it is. As
@@ -182,7 +186,12 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
             self.non_real_time.load_directly(key, entry);
             return Ok(Some(Command::Load(Mailbox::NonRealTime, event.frame)));
         }
-        self.non_real_time.push(key, entry).map(|()| None).map_err(|_| self.refuse())
+        self.non_real_time.push(key, entry, event.tag.reserve()).map(|()| None).map_err(|_| self.refuse())
+    }
+
+    /// Is there room for another frame of the services in both queues?
+    pub fn has_room_for_services(&self) -> bool {
+        self.soft.len() < SOFT && self.non_real_time.len() < NRT
     }
 
     /// Gives up events that have not been sent. O(SOFT² + NRT²); at most one command for each mailbox.

@@ -9,6 +9,20 @@ use crate::time::Instant;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Tag(pub u8);
 
+/// Places of each queue that are kept for the services of the node.
+pub const RESERVED: usize = 2;
+
+impl Tag {
+    /// The services of the node; channels have smaller numbers.
+    pub const SERVICES: Self = Self(u8::MAX);
+
+    /// The places of a queue that are not for this source.
+    #[inline]
+    pub(super) const fn reserve(self) -> usize {
+        if self.0 == Self::SERVICES.0 { 0 } else { RESERVED }
+    }
+}
+
 /// An event on its way to the bus.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -129,9 +143,10 @@ impl<const N: usize> Lane<N> {
         self.queue.is_empty() && matches!(self.content, Content::Empty)
     }
 
-    /// The frame in the mailbox comes back to the queue if it is withdrawn, so it keeps its place there.
-    pub(super) fn push(&mut self, key: u64, entry: Entry) -> Result<(), Entry> {
-        if self.len() >= N {
+    /// Leaves `reserve` places free. The frame in the mailbox comes back to the queue if it is withdrawn,
+    /// so it keeps its place there.
+    pub(super) fn push(&mut self, key: u64, entry: Entry, reserve: usize) -> Result<(), Entry> {
+        if self.len() + reserve >= N {
             return Err(entry);
         }
         self.attention_at = self.attention_at.min(entry.attention_at());
