@@ -63,7 +63,7 @@ impl LocalClock {
 
     /// What the drift makes of a span; in arithmetic of its own, for it judges the core's.
     fn gained(&self, span: i64) -> i64 {
-        (i128::from(span) * i128::from(self.errors.drift.fraction()) >> 32) as i64
+        ((i128::from(span) * i128::from(self.errors.drift.fraction())) >> 32) as i64
     }
 
     /// The first instant at which the timer shows `local` or more.

@@ -313,10 +313,9 @@ impl<S: Services> Node<S> {
         now: VirtualInstant,
         call: impl FnOnce(&mut dyn Application<S>, &mut Access<'_, S>) -> Instant,
     ) {
-        if let Some(next) = self.access(now, call) {
-            if let Some(running) = &mut self.running {
-                running.application_wakes_at = next;
-            }
+        let next = self.access(now, call);
+        if let Some((next, running)) = next.zip(self.running.as_mut()) {
+            running.application_wakes_at = next;
         }
     }
 

@@ -1,0 +1,56 @@
+//! Experiments on the bit-accurate bus, each with the core's own code: `experiment --help`.
+//!
+//! An experiment prints a figure and the conditions under which it was measured. Everything follows from
+//! the seed, but for the speed of the host. `docs/experiments.md` explains them and shows the results.
+
+mod edf;
+mod output;
+mod random;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Measure what COSMIC promises, on a simulated CAN bus.
+///
+/// Exit code: 0 if the promise holds, 1 if it does not or the experiment could not be done, 2 for wrong
+/// arguments.
+#[derive(Parser)]
+#[command(name = "experiment", max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    experiment: Experiment,
+}
+
+#[derive(Subcommand)]
+enum Experiment {
+    /// How far the bus can be loaded until the first deadline is missed: EDF against fixed priorities.
+    Edf(edf::Options),
+}
+
+fn main() -> ExitCode {
+    let result = match &Arguments::parse().experiment {
+        Experiment::Edf(options) => edf::run(options),
+    };
+    match result {
+        Ok(output::Verdict::Holds) => ExitCode::SUCCESS,
+        Ok(output::Verdict::Fails(reason)) => {
+            eprintln!("failed: {reason}");
+            ExitCode::FAILURE
+        }
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Arguments::command().debug_assert();
+    }
+}
