@@ -144,6 +144,11 @@ impl FaultModel {
         self.rules.push(rule);
     }
 
+    /// Takes back all rules that have not been used up.
+    pub fn clear_rules(&mut self) {
+        self.rules.clear();
+    }
+
     /// Decides what befalls the next frame, which is this one.
     pub(crate) fn decide(&mut self, frame: &WireFrame) -> Option<Decision> {
         let draws = core::mem::replace(&mut self.upcoming, Draws::draw(&mut self.random));

@@ -98,6 +98,13 @@ impl Cluster {
         self.nodes[node.0].0.pace().instructions()
     }
 
+    /// What the counter of TIM2 of a node shows, as a debug probe would read it, and the true instant since
+    /// when it shows that; `None` while the timer stands. Relates the local time of firmware that counts it
+    /// there to true time.
+    pub fn tim2(&self, node: NodeId) -> Option<(u32, VirtualInstant)> {
+        self.nodes[node.0].0.tim2()
+    }
+
     /// Has the node stopped, by a fault or because it was switched off?
     pub fn is_stopped(&self, node: NodeId) -> bool {
         self.nodes[node.0].0.is_stopped()

@@ -45,6 +45,7 @@
 mod clock;
 mod cluster;
 mod cpu;
+pub mod demo;
 mod exception;
 mod image;
 mod log;

@@ -149,6 +149,11 @@ impl Node {
         self.system.borrow().reset_requested
     }
 
+    /// What TIM2 shows, and since when; `None` while it stands.
+    pub(crate) fn tim2(&self) -> Option<(u32, VirtualInstant)> {
+        self.system.borrow_mut().tim2()
+    }
+
     /// The bit rate that the firmware set, in bits per second.
     pub(crate) fn can_bits_per_second(&self) -> u32 {
         self.system.borrow().can_bits_per_second()

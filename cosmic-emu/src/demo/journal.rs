@@ -26,8 +26,21 @@ pub struct Journal {
     pub clocks: Vec<(TxNode, NodeClock)>,
     /// What the background load has sent.
     pub background: BackgroundLog,
+    /// Errors in the logs of the nodes, and what they did that the emulator does not know.
+    pub errors: Vec<LoggedError>,
     /// When the run ended.
     pub end: VirtualInstant,
+}
+
+/// A node says that something went wrong with itself.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct LoggedError {
+    /// Which.
+    pub node: TxNode,
+    /// When that was read.
+    pub at: VirtualInstant,
+    /// What it says.
+    pub text: String,
 }
 
 impl Journal {

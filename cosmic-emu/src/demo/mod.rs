@@ -6,7 +6,9 @@
 //! | [`load`] | the background load |
 //! | [`record`], [`bus_log`], [`clock`] | what can be observed: records of the nodes, frames on the wire, time |
 //! | [`journal`], [`ledger`] | what is left of a run, and the life of each event |
+//! | [`run`], [`output`], [`progress`] | the run itself, the files it leaves, what it says meanwhile |
 //! | [`hard`], [`order`], [`verdict`] | the judgement: slots, order of deadlines, losses against exceptions |
+//! | [`report`], [`table`], [`picture`] | what is shown of it |
 //!
 //! The judge trusts no node: windows follow from the calendar and the sync frames on the wire, instants from
 //! the records that the firmware writes into its RTT buffer, in its own local time.
@@ -19,9 +21,12 @@ pub mod journal;
 pub mod ledger;
 pub mod load;
 pub mod order;
-pub mod record;
-pub mod span;
-pub mod verdict;
-pub mod report;
-pub mod table;
+pub mod output;
 pub mod picture;
+pub mod progress;
+pub mod record;
+pub mod report;
+pub mod run;
+pub mod span;
+pub mod table;
+pub mod verdict;

@@ -6,7 +6,7 @@ use cosmic_core::event_layer::ExceptionKind;
 
 use super::example::{Channel, Class, Cluster};
 use super::hard::{self, Slots};
-use super::journal::Journal;
+use super::journal::{Journal, LoggedError};
 use super::ledger::{Account, Ledger, Life};
 use super::order::{self, Order};
 use super::span::Span;
@@ -103,6 +103,8 @@ pub enum Violation {
         /// How many.
         count: u64,
     },
+    /// A node logged an error.
+    Logged(LoggedError),
     /// Frames or records tell of events that nobody published.
     Invented {
         /// How many.
@@ -176,6 +178,7 @@ impl Verdict {
         let other = terms.terms().iter().find(|term| term.calendar_digest != digest);
         violations.extend(other.map(|term| Violation::OtherCalendar { digest: term.calendar_digest }));
         violations.extend(order.inversions.iter().map(|inversion| Violation::OutOfOrder(*inversion)));
+        violations.extend(journal.errors.iter().cloned().map(Violation::Logged));
         if ledger.unknown_events > 0 {
             violations.push(Violation::Invented { count: ledger.unknown_events });
         }
@@ -369,6 +372,9 @@ impl Violation {
                 name(&inversion.loser)
             ),
             Self::RecordsLost { etag, count } => format!("{}: {count} records are missing", channel(etag)),
+            Self::Logged(error) => {
+                format!("at {}: {} logged: {}", milliseconds(error.at), name(&error.node), error.text)
+            }
             Self::Invented { count } => format!("{count} frames or records of events that nobody published"),
         }
     }

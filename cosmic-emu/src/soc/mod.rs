@@ -112,6 +112,13 @@ impl System {
         clocks.hclk_hertz / clocks.apb1_divider / self.can.bit_timing().periods
     }
 
+    /// What TIM2 shows, and since when; `None` while it stands.
+    pub(crate) fn tim2(&mut self) -> Option<(u32, VirtualInstant)> {
+        self.advance();
+        let (count, since) = self.timers.first()?.reading()?;
+        Some((count, self.timebase.instant(since)))
+    }
+
     /// What happened since the last call.
     pub(crate) fn take_happenings(&mut self) -> Vec<Happening> {
         std::mem::take(&mut self.happenings)

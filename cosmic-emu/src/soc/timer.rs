@@ -72,6 +72,12 @@ impl Timer {
         *self = Self { input_period: self.input_period, ..Self::new(self.max) };
     }
 
+    /// What it shows, and the cycle at which that began; `None` while it stands. [`Timer::advance`] comes
+    /// first.
+    pub(crate) fn reading(&self) -> Option<(u32, u64)> {
+        self.counts().then_some((self.count, self.since))
+    }
+
     /// The input clock changes, from `now` on.
     pub(crate) fn set_input_period(&mut self, now: u64, cycles: u64) {
         if cycles != self.input_period {

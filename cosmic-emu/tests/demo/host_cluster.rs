@@ -168,6 +168,7 @@ impl Run {
             records: records.take(),
             clocks,
             background: BackgroundLog::default(),
+            errors: Vec::new(),
             end: self.until,
         }
     }
