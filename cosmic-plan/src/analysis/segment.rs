@@ -7,12 +7,11 @@
 //! | NRT | from publication until the last frame has been sent | below |
 //! | foreign | from its nominal instant until sent | the sufficient test of [`fixed`](super::fixed) |
 //!
-//! An NRT event of n frames is sent frame by frame, each queued when the one before has been sent. A frame
-//! waits for all of higher priority, for one of lower priority, and, from the second on, for what gathered
-//! while the one before was on the wire; so each takes at most the response of the sufficient test with one
-//! frame more in front, and the event n times that. The bound holds if the event has gone before the next
-//! comes. Configuration and binding send frames only while nodes join; their longest frame is counted as
-//! blocking.
+//! An NRT event of n frames is sent frame by frame, each loaded within the inter-frame space behind the one
+//! before. So its last frame is one of fixed priority that has n - 1 frames more in front, for which the
+//! sufficient test holds; where nodes refill slowly, a frame of lower priority may slip in behind each. The
+//! bound holds if the event has gone before the next comes. Configuration and binding send frames only
+//! while nodes join; their longest frame is counted as blocking.
 
 use super::calendar_load::CalendarLoad;
 use super::fixed::Level;
@@ -312,22 +311,18 @@ impl Traffic {
         for &(channel, node, priority, frames, stream) in &self.non_real_time {
             let higher = self.above(priority.get(), Some((channel, node)));
             let level = Level { higher: &higher, blocking: self.longest, longest: self.longest };
-            let before = if frames > 1 { stream.transmission } else { 0 };
+            let slip = if self.slow_refill { self.longest } else { 0 };
+            let before = (frames - 1) * (stream.transmission + slip);
             let single = Stream { jitter: 0, ..stream };
-            let one = level.sufficient(&single, &self.bus, before);
-            let all = one.and_then(|one| one.checked_mul(frames));
-            let bound = all.filter(|all| all + stream.jitter <= stream.period).map(Duration::from_ticks);
+            let all = level.sufficient(&single, &self.bus, before);
+            let bound = all.filter(|all| all + stream.jitter <= stream.period);
             let how = match (bound, frames) {
                 (None, _) => "events would come faster than they can be sent at worst: there is no bound",
                 (Some(_), 1) => "from publication until sent, behind everything of higher priority",
-                (Some(_), _) => {
-                    "from publication until the last fragment has been sent, each behind everything else"
-                }
+                (Some(_), _) => "from publication until the last fragment has been sent",
             };
-            let terms = match (bound, one) {
-                (Some(_), Some(one)) => self.level_terms(&level, &single, before, frames, one),
-                _ => Vec::new(),
-            };
+            let terms = bound.map_or_else(Vec::new, |all| self.level_terms(&level, &single, before, all));
+            let bound = bound.map(Duration::from_ticks);
             let deadline = cluster.channels[channel].deadline;
             let verdict = Verdict::of(bound, deadline);
             proofs.push(ChannelProof {
@@ -339,29 +334,26 @@ impl Traffic {
         proofs
     }
 
-    fn level_terms(
-        &self,
-        level: &Level<'_>,
-        stream: &Stream,
-        extra: u64,
-        frames: u64,
-        one: u64,
-    ) -> Vec<Term> {
-        let start = one - stream.transmission - stream.jitter;
-        let term = |name: &str, each: u64| Term {
-            name: if frames > 1 { format!("{frames} × {name}") } else { name.to_owned() },
-            span: Duration::from_ticks(frames * each),
-        };
-        let front = level.blocking.max(stream.transmission) + extra;
+    fn level_terms(&self, level: &Level<'_>, stream: &Stream, before: u64, response: u64) -> Vec<Term> {
+        let start = response - stream.transmission - stream.jitter;
+        let term = |name: &str, ticks: u64| Term { name: name.to_owned(), span: Duration::from_ticks(ticks) };
+        let front = level.blocking.max(stream.transmission);
         let hard = self.bus.calendar.within(start + self.bus.bit);
         let faults = self.bus.error_overhead(start + stream.transmission, level.longest);
-        vec![
-            term("frames that have just started", front),
-            term("frames of higher priority", start.saturating_sub(front + hard + faults)),
+        let mut terms = vec![
+            term("one frame that has just started", front),
+            term("frames of higher priority", start.saturating_sub(front + before + hard + faults)),
             term("hard real-time frames", hard),
             term("faults", faults),
             term("the frame itself", stream.transmission),
-        ]
+        ];
+        if before > 0 {
+            terms.insert(1, term("the fragments before the last", before));
+        }
+        if stream.jitter > 0 {
+            terms.insert(0, term("jitter", stream.jitter));
+        }
+        terms
     }
 
     fn foreign_proof(&self, cluster: &Cluster, at: usize) -> Proof {
@@ -379,7 +371,7 @@ impl Traffic {
             Some(_) => "from its nominal instant until sent, behind everything that may go before it",
             None => "there is no bound within its period",
         };
-        let terms = bound.map_or_else(Vec::new, |one| self.level_terms(&level, &stream, 0, 1, one));
+        let terms = bound.map_or_else(Vec::new, |one| self.level_terms(&level, &stream, 0, one));
         let bound = bound.map(Duration::from_ticks);
         Proof { bound, deadline, verdict: Verdict::of(bound, deadline), how, terms }
     }

@@ -257,3 +257,6 @@ pub fn hard_channels(cluster: &Cluster) -> impl Iterator<Item = usize> + '_ {
 
 /// Truth values up to which the complete search is tried.
 const EXACT_SIZE: i64 = 60_000;
+
+#[cfg(test)]
+mod tests;
