@@ -105,9 +105,11 @@ impl GlobalTimeline {
 
     /// The true instant of a global instant; `None` before the first sync frame.
     pub fn instant(&self, global: GlobalInstant) -> Option<VirtualInstant> {
-        self.terms.iter().rev().map(|term| (term.from, term.instant(global))).find_map(|(from, instant)| {
-            (instant >= from).then_some(instant)
-        })
+        self.terms
+            .iter()
+            .rev()
+            .map(|term| (term.from, term.instant(global)))
+            .find_map(|(from, instant)| (instant >= from).then_some(instant))
     }
 }
 

@@ -60,7 +60,7 @@ pub struct Occurrence {
 /// What became of an occurrence of a slot.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Fate {
-    /// The clocks were not synchronised yet.
+    /// Not judged: the clocks were not synchronised yet, or nothing had been published on the channel.
     Settling,
     /// Visible to every subscriber at its delivery instant.
     Delivered,
@@ -145,7 +145,8 @@ fn settle(journal: &Journal, ledger: &Ledger, timeline: &GlobalTimeline, slots: 
     let Some(start) = timeline.terms().first().map(|term| term.from) else { return };
     let longest = journal.cluster.calendar.slots().iter().map(|slot| slot.period).max();
     let calm = Span::from(longest.unwrap_or(Duration::from_ticks(0)) * CALM_PERIODS);
-    let mut told: Vec<_> = ledger.told.iter().filter(|it| it.kind == ExceptionKind::ClockOutOfBound).collect();
+    let mut told: Vec<_> =
+        ledger.told.iter().filter(|it| it.kind == ExceptionKind::ClockOutOfBound).collect();
     told.sort_by_key(|told| told.at);
     let mut settled_at = start;
     for told in told {
@@ -180,8 +181,7 @@ impl Judge<'_> {
         let faulted = attempts.iter().filter(|at| log[**at].has_failed()).count() as u32;
         let carried = attempts.first().and_then(|at| log[*at].frame());
         let sequence = carried.and_then(|frame| sequence_of(&frame));
-        let mut occurrence =
-            Occurrence { slot, window, attempts, faulted, sequence, fate: Fate::Settling };
+        let mut occurrence = Occurrence { slot, window, attempts, faulted, sequence, fate: Fate::Settling };
         if self.is_judged(slot, &window) {
             occurrence.fate = match sequence {
                 None => self.empty(&occurrence, slots),
@@ -194,7 +194,9 @@ impl Judge<'_> {
     /// A node that was not synchronised spoke of slots at instants of its own, so the first whole period
     /// behind the settling time is left out.
     fn is_judged(&self, slot: &Slot, window: &Window) -> bool {
-        self.settled_at.is_some_and(|settled| window.ready > settled + slot.period)
+        let first = self.ledger.account(slot.etag).and_then(|account| account.events.values().next());
+        let announced = first.is_some_and(|life| life.published_at < window.ready);
+        announced && self.settled_at.is_some_and(|settled| window.ready > settled + slot.period)
     }
 
     /// The attempts to send the slot's frame that started in its window; early or late by ε.
@@ -213,14 +215,14 @@ impl Judge<'_> {
     fn empty(&self, occurrence: &Occurrence, slots: &mut Slots) -> Fate {
         let Occurrence { slot, window, .. } = occurrence;
         let told = |kind| self.was_told(slot.publisher, slot, window, kind);
-        let announced = self.ledger.account(slot.etag).is_some_and(|account| {
-            account.events.values().next().is_some_and(|life| life.published_at < window.ready)
-        });
-        if !announced || !slot.periodic || told(ExceptionKind::NothingPublished) {
+        if !slot.periodic || told(ExceptionKind::NothingPublished) {
             return Fate::Unused;
         }
-        let reasons =
-            [ExceptionKind::SlotSkipped, ExceptionKind::ClockOutOfBound, ExceptionKind::OmissionDegreeExceeded];
+        let reasons = [
+            ExceptionKind::SlotSkipped,
+            ExceptionKind::ClockOutOfBound,
+            ExceptionKind::OmissionDegreeExceeded,
+        ];
         let reason = reasons.into_iter().find(|kind| told(*kind));
         slots.violations.push(Violation::NotSent { ready: window.ready, etag: slot.etag, reason });
         Fate::Violated
@@ -233,7 +235,8 @@ impl Judge<'_> {
         let life = self.ledger.account(slot.etag).and_then(|account| account.events.get(&sequence));
         let mut everywhere = true;
         for subscriber in &channel.subscribers {
-            let deliveries: Vec<_> = life.into_iter().flat_map(|life| life.deliveries_to(*subscriber)).collect();
+            let deliveries: Vec<_> =
+                life.into_iter().flat_map(|life| life.deliveries_to(*subscriber)).collect();
             match deliveries.as_slice() {
                 [delivery] => self.visible(occurrence, *subscriber, delivery.visible_at, slots),
                 [] => {
@@ -315,8 +318,12 @@ impl Judge<'_> {
     /// Frames of the slot that were on the bus outside all of its windows.
     fn untimely_attempts(&self, slot: &'static Slot, slots: &mut Slots) {
         let Some(settled) = self.settled_at else { return };
-        let claimed: std::collections::BTreeSet<usize> =
-            slots.occurrences.iter().filter(|it| it.slot == slot).flat_map(|it| it.attempts.clone()).collect();
+        let claimed: std::collections::BTreeSet<usize> = slots
+            .occurrences
+            .iter()
+            .filter(|it| it.slot == slot)
+            .flat_map(|it| it.attempts.clone())
+            .collect();
         let last = windows(self.journal, self.timeline, slot).last().map(|window| window.delivery);
         for (at, attempt) in self.journal.bus.attempts().iter().enumerate() {
             let ours = attempt.frame().is_some_and(|frame| belongs(slot, &frame));

@@ -307,7 +307,8 @@ mod tests {
     #[test]
     fn the_load_that_was_asked_for_is_reached() {
         for percent in [10.0, 60.0, 95.0] {
-            let (bus, log) = run(Share::percent(percent).unwrap(), 3, VirtualInstant::from_ticks(2_000_000_000));
+            let (bus, log) =
+                run(Share::percent(percent).unwrap(), 3, VirtualInstant::from_ticks(2_000_000_000));
             assert!((load(&bus) - percent).abs() < 0.5, "{percent}: {}", load(&bus));
             assert!(log.sent[0] > 0 && log.sent[1] > 0);
             assert_eq!((log.missed, log.expired), (0, 0));

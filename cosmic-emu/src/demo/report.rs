@@ -3,10 +3,12 @@
 //! Spans are in microseconds of true (virtual) time.
 
 use cosmic_bus::TrafficClass;
+use cosmic_bus::trace::{BusError, Origin};
 use cosmic_core::can::TxNode;
 use cosmic_core::event_layer::ExceptionKind;
 use serde::Serialize;
 
+use super::bus_log::{Attempt, Ending};
 use super::example::{Channel, Class};
 use super::hard::{self, Fate};
 use super::journal::Journal;
@@ -158,6 +160,8 @@ pub struct BusReport {
     pub classes: Vec<ClassReport>,
     /// Attempts that failed.
     pub failed_attempts: u64,
+    /// Those of them that failed because no other station took part in the traffic.
+    pub unacknowledged_attempts: usize,
     /// Frames that the error source hit.
     pub injected_errors: u64,
     /// Element k: frames that were sent after k failed attempts.
@@ -205,6 +209,8 @@ pub struct ExceptionReport {
     pub kind: &'static str,
     /// How often.
     pub count: usize,
+    /// How often before the first hard real-time slot that is judged.
+    pub while_starting: usize,
 }
 
 impl Report {
@@ -220,7 +226,9 @@ impl Report {
                 until_us: verdict.slots.settled_at.map(|at| Span::between(start, at)),
                 exceptions: verdict.slots.settling_exceptions,
             },
-            channels: accounts.map(|(account, tally)| channel(journal, verdict, account.channel, tally)).collect(),
+            channels: accounts
+                .map(|(account, tally)| channel(journal, verdict, account.channel, tally))
+                .collect(),
             slots: slots(journal, verdict),
             order: OrderReport {
                 contests: verdict.order.contests,
@@ -236,12 +244,7 @@ impl Report {
     }
 }
 
-fn channel(
-    journal: &Journal,
-    verdict: &Verdict,
-    channel: &'static Channel,
-    tally: &Tally,
-) -> ChannelReport {
+fn channel(journal: &Journal, verdict: &Verdict, channel: &'static Channel, tally: &Tally) -> ChannelReport {
     ChannelReport {
         name: channel.name,
         class: channel.class.name(),
@@ -253,7 +256,11 @@ fn channel(
         expired: tally.expired,
         under_way: tally.under_way,
         lost_while_settling: tally.settling,
-        subscribers: channel.subscribers.iter().map(|it| subscriber(journal, verdict, channel, *it)).collect(),
+        subscribers: channel
+            .subscribers
+            .iter()
+            .map(|it| subscriber(journal, verdict, channel, *it))
+            .collect(),
     }
 }
 
@@ -323,9 +330,14 @@ fn bus(journal: &Journal) -> BusReport {
         error_load_percent: share(accounting.error_bits()),
         classes: classes.into_iter().zip(["HRT", "SRT", "NRT"]).map(class).collect(),
         failed_attempts: accounting.failed_attempts(),
+        unacknowledged_attempts: journal.bus.attempts().iter().filter(|it| is_unheard(it)).count(),
         injected_errors: accounting.inverted(),
         frames_by_omission_degree: accounting.omission_degrees().to_vec(),
     }
+}
+
+fn is_unheard(attempt: &Attempt) -> bool {
+    matches!(attempt.ending, Ending::Failed(BusError { origin: Origin::NoReceiver, .. }))
 }
 
 fn background(journal: &Journal) -> BackgroundReport {
@@ -343,12 +355,16 @@ fn background(journal: &Journal) -> BackgroundReport {
 fn exceptions(journal: &Journal, verdict: &Verdict) -> Vec<ExceptionReport> {
     let channels = journal.cluster.channels.iter().map(Some).chain([None]);
     let places = channels.flat_map(|channel| journal.cluster.nodes.iter().map(move |node| (channel, node)));
+    let first = verdict.slots.occurrences.iter().find(|it| it.fate != Fate::Settling);
+    let started = first.map(|occurrence| occurrence.window.ready);
     let mut reports = Vec::new();
     for (channel, node) in places {
         for kind in EXCEPTIONS {
             let etag = channel.map(|channel| channel.etag);
             let same = |it: &&super::ledger::Told| (it.node, it.etag, it.kind) == (node.tx_node, etag, *kind);
             let count = verdict.ledger.told.iter().filter(same).count();
+            let starting = |it: &&super::ledger::Told| started.is_none_or(|started| it.at < started);
+            let while_starting = verdict.ledger.told.iter().filter(same).filter(starting).count();
             if count > 0 {
                 let is_publisher = |channel: &Channel| channel.publisher == node.tx_node;
                 reports.push(ExceptionReport {
@@ -357,6 +373,7 @@ fn exceptions(journal: &Journal, verdict: &Verdict) -> Vec<ExceptionReport> {
                     role: channel.map(|it| if is_publisher(it) { "publisher" } else { "subscriber" }),
                     kind: name(*kind),
                     count,
+                    while_starting,
                 });
             }
         }

@@ -147,7 +147,10 @@ impl<W: io::Write> Run<W> {
             nodes.push(Observed { id, name, tx_node, records, first: None });
         }
         let background = Rc::new(RefCell::new(Background::new(bit_rate, plan.load, plan.seed)));
-        cluster.add_station("background", Box::new(Loading { background: background.clone(), commands: vec![] }));
+        cluster.add_station(
+            "background",
+            Box::new(Loading { background: background.clone(), commands: vec![] }),
+        );
         Ok(Self {
             example,
             cluster,
@@ -329,8 +332,11 @@ impl Station for Loading {
 }
 
 /// When each node is switched on, and how many millionths its crystal is off: no two are alike.
-const DIFFERENCES: [(Duration, i32); 3] =
-    [(Duration::from_micros(1_300), 40), (Duration::from_micros(200), -35), (Duration::from_micros(4_700), 20)];
+const DIFFERENCES: [(Duration, i32); 3] = [
+    (Duration::from_micros(1_300), 40),
+    (Duration::from_micros(200), -35),
+    (Duration::from_micros(4_700), 20),
+];
 /// Of the timer that counts local time (`boards/src/clock.rs`).
 const TICK: Duration = Duration::from_ticks(250);
 /// The longest run: after this, 32 bits of the timer have passed through.

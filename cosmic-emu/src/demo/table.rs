@@ -45,17 +45,27 @@ impl Tables<'_> {
             f,
             "                                                              latency (µs)        jitter (µs)",
         )?;
-        self.heading(f, &row(&["channel", "class", "published", "subscriber", "delivered", "miss/exp"], &[
-            "min", "mean", "max", "min", "mean", "max",
-        ]))?;
+        self.heading(
+            f,
+            &row(
+                &["channel", "class", "published", "subscriber", "delivered", "miss/exp"],
+                &["min", "mean", "max", "min", "mean", "max"],
+            ),
+        )?;
         for channel in &self.report.channels {
             for (at, subscriber) in channel.subscribers.iter().enumerate() {
                 let line = self.channel_row(channel, subscriber, at == 0);
                 writeln!(f, "{line}")?;
             }
         }
-        writeln!(f, "miss/exp: missed (HRT: not delivered in its slot; SRT: sent after its deadline) or expired (SRT).")?;
-        writeln!(f, "Latency: from publication until the event is visible to the subscriber. Jitter, HRT: distance from")?;
+        writeln!(
+            f,
+            "miss/exp: missed (HRT: not delivered in its slot; SRT: sent after its deadline) or expired (SRT)."
+        )?;
+        writeln!(
+            f,
+            "Latency: from publication until the event is visible to the subscriber. Jitter, HRT: distance from"
+        )?;
         writeln!(f, "the delivery instant of the calendar; SRT, NRT: difference of two latencies in a row.")?;
         let waiting: Vec<_> = self.report.channels.iter().filter_map(remainder).collect();
         if !waiting.is_empty() {
@@ -86,16 +96,18 @@ impl Tables<'_> {
     fn bus(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (bus, settings) = (&self.report.bus, &self.report.settings);
         self.heading(f, "bus")?;
-        let mut line = format!("load {:.1} % ({:.1} % asked for):", bus.load_percent, settings.load_percent);
+        let mut line = format!("load {:.1}% ({:.1}% asked for):", bus.load_percent, settings.load_percent);
         for class in &bus.classes {
-            write!(line, " {} {} frames {:.1} %,", class.class, class.frames, class.load_percent)?;
+            write!(line, " {} {} frames {:.1}%,", class.class, class.frames, class.load_percent)?;
         }
-        write!(line, " errors {:.2} %.", bus.error_load_percent)?;
+        write!(line, " errors {:.2}%.", bus.error_load_percent)?;
         wrap(f, &line)?;
         let line = format!(
-            "errors injected: {}; attempts destroyed: {}; frames by attempts that failed before: {}.",
+            "errors injected: {}; attempts destroyed: {}, {} of them because no node was up to acknowledge; frames \
+             by destroyed attempts: {}.",
             bus.injected_errors,
             bus.failed_attempts,
+            bus.unacknowledged_attempts,
             degrees(&bus.frames_by_omission_degree)
         );
         wrap(f, &line)?;
@@ -114,13 +126,15 @@ impl Tables<'_> {
     }
 
     fn exceptions(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let line = |node: &str, role: &str, channel: &str, kind: &str, count: &str| {
-            format!("{node:<12} {role:<11} {channel:<12} {kind:<31} {count:>6}")
+        let line = |node: &str, role: &str, channel: &str, kind: &str, counts: [&str; 2]| {
+            let [count, starting] = counts;
+            format!("{node:<13} {role:<10} {channel:<11} {kind:<30} {count:>6} {starting:>18}")
         };
-        self.heading(f, &line("exceptions at", "as", "of channel", "kind", "count"))?;
+        self.heading(f, &line("exceptions at", "as", "of channel", "kind", ["count", "while starting up"]))?;
         for it in &self.report.exceptions {
             let (role, channel) = (it.role.unwrap_or("-"), it.channel.unwrap_or("-"));
-            writeln!(f, "{}", line(it.node, role, channel, it.kind, &it.count.to_string()))?;
+            let counts = [it.count, it.while_starting].map(|count| count.to_string());
+            writeln!(f, "{}", line(it.node, role, channel, it.kind, counts.each_ref().map(String::as_str)))?;
         }
         if self.report.exceptions.is_empty() {
             writeln!(f, "none")?;
@@ -136,7 +150,12 @@ impl Tables<'_> {
         let line = format!(
             "HRT slots: {} judged, {} delivered to all subscribers, {} unused, {} lost; with destroyed attempts: \
              {}, beyond the omission degree: {}.",
-            slots.judged, slots.delivered, slots.unused, slots.lost, slots.with_faults, slots.beyond_hypothesis
+            slots.judged,
+            slots.delivered,
+            slots.unused,
+            slots.lost,
+            slots.with_faults,
+            slots.beyond_hypothesis
         );
         wrap(f, &line)?;
         let (early, late) = slots.allowed_us;
@@ -167,7 +186,11 @@ impl Tables<'_> {
             writeln!(f, "... and {more} more")?;
         }
         if report.passed {
-            writeln!(f, "{}", self.paint(Colour::Green, "PASSED: all as promised, and every loss was reported."))
+            writeln!(
+                f,
+                "{}",
+                self.paint(Colour::Green, "PASSED: all as promised, and every loss was reported.")
+            )
         } else {
             let text = format!("FAILED: {} violations.", report.violations.len());
             writeln!(f, "{}", self.paint(Colour::Red, &text))
@@ -176,13 +199,16 @@ impl Tables<'_> {
 
     fn settling(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let settling = &self.report.settling;
-        let told = format!("{} exceptions \"clock out of bound\"", settling.exceptions);
+        let told = format!("exceptions \"clock out of bound\": {}", settling.exceptions);
         match settling.until_us {
             Some(until) => {
                 let seconds = until.as_micros() / 1e6;
-                wrap(f, &format!("Clocks synchronised after {seconds:.3} s; until then HRT kept silent, with {told}."))
+                wrap(
+                    f,
+                    &format!("Clocks synchronised after {seconds:.3} s; until then HRT kept silent; {told}."),
+                )
             }
-            None => wrap(f, &format!("Clocks not synchronised; HRT kept silent, with {told}.")),
+            None => wrap(f, &format!("Clocks not synchronised; HRT kept silent; {told}.")),
         }
     }
 
@@ -205,9 +231,8 @@ enum Colour {
 
 fn row(words: &[&str; 6], numbers: &[&str]) -> String {
     let [channel, class, published, subscriber, delivered, missed] = words;
-    let mut line = format!(
-        "{channel:<11} {class:<5} {published:>9} {subscriber:<11} {delivered:>9} {missed:>8}"
-    );
+    let mut line =
+        format!("{channel:<11} {class:<5} {published:>9} {subscriber:<11} {delivered:>9} {missed:>8}");
     for (at, number) in numbers.iter().enumerate() {
         let width = if at < 3 { LATENCY } else { JITTER };
         // Cannot fail: the target is a string.

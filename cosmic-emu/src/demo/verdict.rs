@@ -329,7 +329,8 @@ impl Violation {
     pub fn describe(&self, cluster: &Cluster) -> String {
         let channel = |etag: &Etag| cluster.channel(*etag).map_or("another channel", |it| it.name);
         let name = |node: &TxNode| cluster.name(*node);
-        let slot = |etag: &Etag, ready: &VirtualInstant| format!("{} at {}", channel(etag), milliseconds(*ready));
+        let slot =
+            |etag: &Etag, ready: &VirtualInstant| format!("{} at {}", channel(etag), milliseconds(*ready));
         match self {
             Self::NeverSettled => "the clocks were not synchronised before the end: let it run longer \
                                    (--seconds)"

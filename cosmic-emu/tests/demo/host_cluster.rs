@@ -66,11 +66,14 @@ impl Application<ClockService> for Node {
             content[..4].copy_from_slice(&sequence.to_be_bytes());
             let taken = node.publish(publication, &Event::new(content)).is_ok();
             let sequence_now = *sequence;
-            written.push((*etag, if taken {
-                RecordKind::Published { sequence: sequence_now }
-            } else {
-                RecordKind::Refused { sequence: sequence_now }
-            }));
+            written.push((
+                *etag,
+                if taken {
+                    RecordKind::Published { sequence: sequence_now }
+                } else {
+                    RecordKind::Refused { sequence: sequence_now }
+                },
+            ));
             *sequence += 1;
             *next = *next + *period;
         }
@@ -137,7 +140,8 @@ impl Run {
         let records = Records::default();
         let mut cluster = Cluster::new(Bus::new(BitRate::MAX, self.faults), 1);
         cluster.bus().record_trace(true);
-        let [wheel, temperature, force, suspension, logbook] = [0, 1, 2, 3, 4].map(|n| EXAMPLE.channels[n].etag);
+        let [wheel, temperature, force, suspension, logbook] =
+            [0, 1, 2, 3, 4].map(|n| EXAMPLE.channels[n].etag);
         let ms = Duration::from_millis;
         let nodes = [
             (vec![(wheel, ms(10)), (temperature, ms(20))], 40_000, 0),

@@ -17,8 +17,7 @@ use cosmic_emu::demo::verdict::{Loss, Verdict, Violation};
 use embedded_can::ExtendedId;
 use host_cluster::Run;
 
-const SETTINGS: Settings =
-    Settings { seconds: 1.0, seed: 1, load_percent: 0.0, error_rate: 0.0, burst: 0 };
+const SETTINGS: Settings = Settings { seconds: 1.0, seed: 1, load_percent: 0.0, error_rate: 0.0, burst: 0 };
 
 fn wheel() -> Etag {
     EXAMPLE.channels[0].etag
@@ -106,10 +105,13 @@ fn without(keep: impl Fn(&TxNode, &RecordKind, Option<Etag>) -> bool) -> Verdict
 fn silence_at_the_publisher_is_found() {
     let told = RecordKind::Exception(ExceptionKind::OmissionDegreeExceeded);
     let verdict = without(|_, kind, _| *kind != told);
-    let expected = |it: &Violation| {
-        matches!(it, Violation::Silence { kind: ExceptionKind::OmissionDegreeExceeded, .. })
-    };
-    assert!(!verdict.violations.is_empty() && verdict.violations.iter().all(expected), "{:?}", verdict.violations);
+    let expected =
+        |it: &Violation| matches!(it, Violation::Silence { kind: ExceptionKind::OmissionDegreeExceeded, .. });
+    assert!(
+        !verdict.violations.is_empty() && verdict.violations.iter().all(expected),
+        "{:?}",
+        verdict.violations
+    );
 }
 
 #[test]
@@ -117,10 +119,12 @@ fn silence_at_a_subscriber_is_found() {
     let verdict = without(|node, kind, _| {
         *node != brake() || *kind != RecordKind::Exception(ExceptionKind::MissedEvent)
     });
-    let expected = |it: &Violation| {
-        matches!(it, Violation::Silence { node, kind: ExceptionKind::MissedEvent, .. } if *node == brake())
-    };
-    assert!(!verdict.violations.is_empty() && verdict.violations.iter().all(expected), "{:?}", verdict.violations);
+    let expected = |it: &Violation| matches!(it, Violation::Silence { node, kind: ExceptionKind::MissedEvent, .. } if *node == brake());
+    assert!(
+        !verdict.violations.is_empty() && verdict.violations.iter().all(expected),
+        "{:?}",
+        verdict.violations
+    );
 }
 
 #[test]
@@ -200,7 +204,9 @@ fn the_picture_shows_the_slot_that_was_hit() {
     let journal = Run { faults, load_interval: 130, ..Run::quiet(3_000) }.journal();
     let verdict = Verdict::of(&journal);
     let picture = picture::draw(&SETTINGS, &journal, &verdict);
-    for text in ["ready", "latest start (LST)", "deadline", "delivery", "destroyed", "attempt 2", "retransmission"] {
+    for text in
+        ["ready", "latest start (LST)", "deadline", "delivery", "destroyed", "attempt 2", "retransmission"]
+    {
         assert!(picture.contains(text), "{text}");
     }
     if let Some(path) = std::env::var_os("DEMO_PICTURE") {

@@ -14,7 +14,7 @@ mod app {
     use firmware::cluster::plan::{channels, nodes};
     use firmware::cluster::{self, Temperature, WheelSpeed};
     use firmware::inbox::{Inbox, Storage};
-    use firmware::node::{Buffers, Node};
+    use firmware::node::{Buffers, Calendar, Node};
     use firmware::signals;
     use firmware::start::{Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
@@ -97,6 +97,9 @@ mod app {
         application::synchronised(node).await;
         clock::delay_until(clock::now() + cluster::SETTLING).await;
         let publisher = Publisher::announce(&cluster::WHEEL_SPEED, node, buffers);
+        // The calendar task sees the slot when it wakes next; an event for a slot before that would be
+        // replaced by the next one, unsent.
+        clock::delay_until(clock::now() + Calendar::LONGEST_SLEEP).await;
         let mut sequence = 0;
         loop {
             let next = node.lock(|node| node.before_slot(&cluster::WHEEL_SPEED_SLOT, LEAD, clock::now()));

@@ -145,7 +145,8 @@ pub(super) fn cross(area: &Area) -> Path {
     let inset = (area.width.min(area.height) / 5.0).max(1.0);
     let (left, right) = (area.x + inset, area.x + area.width - inset);
     let (top, bottom) = (area.y + inset, area.y + area.height - inset);
-    let data = format!("M{left:.1} {top:.1}L{right:.1} {bottom:.1}M{left:.1} {bottom:.1}L{right:.1} {top:.1}");
+    let data =
+        format!("M{left:.1} {top:.1}L{right:.1} {bottom:.1}M{left:.1} {bottom:.1}L{right:.1} {top:.1}");
     Path::new().set("d", data).set("stroke", ERROR).set("stroke-width", 1.6).set("fill", "none")
 }
 

@@ -118,7 +118,8 @@ fn seen(
     if let Some((life, channel)) = life.zip(channel) {
         let number = occurrence.sequence.unwrap_or(0);
         if channel.publisher == node {
-            let before = (occurrence.window.ready.as_ticks().saturating_sub(life.published_at.as_ticks())) as f64;
+            let before =
+                (occurrence.window.ready.as_ticks().saturating_sub(life.published_at.as_ticks())) as f64;
             let text = if scale.shows(life.published_at) {
                 format!("publishes {} {number}", channel.name)
             } else {

@@ -5,7 +5,7 @@ use cosmic_core::can::BitRate;
 use svg::node::element::Group;
 
 use super::canvas::{Anchor, Area, Label, Scale, cross, explained};
-use super::palette::{ERROR, HATCH, INK, Look, PAPER};
+use super::palette::{ERROR, HATCH, Look, PAPER};
 use crate::demo::bus_log::{Attempt, Ending};
 use crate::demo::example::Cluster;
 use crate::demo::journal::Journal;
@@ -60,23 +60,32 @@ fn frame(journal: &Journal, lane: &Lane, attempt: &Attempt, next: Option<Virtual
         let label = Label::new(&text, lane.text).ink(paint.ink).anchor(Anchor::Middle);
         group = group.add(label.at(left + area.width / 2.0, lane.y + lane.height / 2.0 + lane.text * 0.36));
     }
-    if repeated && lane.text > 10.0 {
-        let text = format!("attempt {}", attempt.attempt);
-        let label = Label::new(&text, lane.text - 1.0).ink(ERROR).bold().anchor(Anchor::Middle).halo();
-        if label.width() <= area.width + 30.0 {
-            group = group.add(label.at(left + area.width / 2.0, lane.y + lane.height + lane.text + 2.0));
-        }
-    }
-    if failed && lane.text > 10.0 {
-        let label = Label::new("destroyed", lane.text - 1.0).ink(ERROR).bold().anchor(Anchor::Middle).halo();
-        group = group.add(label.at(left + area.width / 2.0, lane.y - 5.0));
-        let name = names(journal.cluster, attempt).into_iter().last().unwrap_or_default();
-        let label = Label::new(&name, lane.text).ink(INK).anchor(Anchor::Middle).halo();
-        if label.width() < area.width {
-            group = group.add(label.at(left + area.width / 2.0, lane.y + lane.height + lane.text + 2.0));
-        }
+    if lane.text >= ANNOTATED {
+        group = annotate(journal.cluster, lane, attempt, &area, group);
     }
     group
+}
+
+/// Says above and below the box what cannot stand in it.
+fn annotate(cluster: &Cluster, lane: &Lane, attempt: &Attempt, area: &Area, mut group: Group) -> Group {
+    let (middle, size) = (area.x + area.width / 2.0, lane.text - 1.0);
+    fn label(text: &str, size: f64) -> Label<'_> {
+        Label::new(text, size).ink(ERROR).bold().anchor(Anchor::Middle).halo()
+    }
+    let again = match attempt.attempt {
+        0 | 1 => String::new(),
+        number => format!("attempt {number}"),
+    };
+    let below = if attempt.has_failed() {
+        group = group.add(label("destroyed", size).at(middle, lane.y - 5.0));
+        let comma = if again.is_empty() { "" } else { ", " };
+        let names = names(cluster, attempt).into_iter().skip(1).map(|name| format!("{name}{comma}{again}"));
+        let mut names = names.chain([again.clone()]);
+        names.find(|name| label(name, size).width() < area.width + GAP).unwrap_or(again)
+    } else {
+        again
+    };
+    group.add(label(&below, size).at(middle, lane.y + lane.height + lane.text + 2.0))
 }
 
 /// A destroyed attempt is followed by an error flag, which others may prolong, and eight recessive bits.
@@ -128,5 +137,9 @@ fn describe(cluster: &Cluster, attempt: &Attempt) -> String {
     )
 }
 
+/// In a lane with texts of this size or more there is room above and below the boxes.
+const ANNOTATED: f64 = 11.0;
+/// A label may be wider than its box by this.
+const GAP: f64 = 30.0;
 /// Six bits of flag, up to six of echo, eight of delimiter (ISO 11898-1, error frame): usually this.
 const ERROR_FRAME_BITS: u32 = 20;

@@ -15,7 +15,12 @@ pub(super) const HEIGHT: f64 = 84.0;
 pub(super) fn draw(cluster: &Cluster, top: f64) -> Group {
     let mut group = Group::new();
     for (at, look) in Look::ALL.into_iter().enumerate() {
-        group = group.add(entry(at, top, |area| Group::new().add(area.rectangle(look.paint().fill)), look.meaning()));
+        group = group.add(entry(
+            at,
+            top,
+            |area| Group::new().add(area.rectangle(look.paint().fill)),
+            look.meaning(),
+        ));
     }
     let second = top + 28.0;
     let destroyed = |area: &Area| Group::new().add(area.rectangle(HATCH)).add(cross(area));
@@ -24,9 +29,8 @@ pub(super) fn draw(cluster: &Cluster, top: f64) -> Group {
         let fill = Look::Hard.paint().fill;
         Group::new().add(area.rectangle(fill).set("stroke", ERROR).set("stroke-width", 2))
     };
-    let window = |area: &Area| {
-        Group::new().add(area.rectangle(WINDOW).set("stroke", MARK).set("stroke-width", 0.8))
-    };
+    let window =
+        |area: &Area| Group::new().add(area.rectangle(WINDOW).set("stroke", MARK).set("stroke-width", 0.8));
     group
         .add(entry(0, second, destroyed, "destroyed on the wire"))
         .add(entry(1, second, error, "error frame"))

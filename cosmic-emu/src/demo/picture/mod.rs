@@ -80,10 +80,11 @@ fn start_of_cycle(journal: &Journal, focus: Option<&Occurrence>) -> VirtualInsta
 
 fn subtitle(settings: &Settings, journal: &Journal) -> String {
     format!(
-        "{} nodes at {} kbit/s; a frame is destroyed with chance {}; seed {}; the run ended after {:.3} s. \
-         Axes in milliseconds of true time.",
+        "{} nodes at {} kbit/s, load {:.0}%; a frame is destroyed with chance {}; seed {}; the run ended after \
+         {:.3} s. Axes in milliseconds of true time.",
         journal.cluster.nodes.len(),
         journal.bit_rate.bits_per_second() / 1000,
+        settings.load_percent,
         settings.error_rate,
         settings.seed,
         journal.end.as_ticks() as f64 / 1e9

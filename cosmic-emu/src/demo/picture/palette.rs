@@ -26,14 +26,8 @@ pub(super) enum Look {
 }
 
 impl Look {
-    pub(super) const ALL: [Self; 6] = [
-        Self::Hard,
-        Self::Soft,
-        Self::NonRealTime,
-        Self::Control,
-        Self::SoftLoad,
-        Self::NonRealTimeLoad,
-    ];
+    pub(super) const ALL: [Self; 6] =
+        [Self::Hard, Self::Soft, Self::NonRealTime, Self::Control, Self::SoftLoad, Self::NonRealTimeLoad];
 
     /// The look of a frame of this cluster; of frames that are not of its channels, background load.
     pub(super) fn of(cluster: &Cluster, attempt: &Attempt) -> Self {

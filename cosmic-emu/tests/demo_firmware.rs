@@ -1,0 +1,140 @@
+//! The demonstration as it is started: the images that are flashed, on the emulated cluster.
+//!
+//! `cargo xtask test emulated` builds the images and names their directory in `COSMIC_IMAGES`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+/// An empty directory of this test's own, which is removed at the end.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("cosmic-demo-{name}-{}", std::process::id()));
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+fn images() -> PathBuf {
+    let images = std::env::var_os("COSMIC_IMAGES");
+    images.expect("COSMIC_IMAGES names no directory of images: run `cargo xtask test emulated`").into()
+}
+
+fn demo(images: &Path, arguments: &[&str], out: &Path, json: Option<&Path>) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_demo"));
+    command.arg("--images").arg(images).arg("--out").arg(out).args(arguments);
+    if let Some(json) = json {
+        command.arg("--json").arg(json);
+    }
+    command.output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Runs the example; it must pass.
+fn passed(name: &str, arguments: &[&str]) -> (String, Value, Vec<u8>) {
+    let scratch = Scratch::new(name);
+    let json = scratch.path("report.json");
+    let output = demo(&images(), arguments, &scratch.0, Some(&json));
+    let (printed, errors) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(0), "{printed}{errors}");
+    let report = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
+    let picture = fs::read_to_string(scratch.path("bus.svg")).unwrap();
+    assert!(picture.trim_start().starts_with("<svg") && picture.contains("deadline"));
+    (printed, report, fs::read(scratch.path("candump.log")).unwrap())
+}
+
+fn exceptions(report: &Value, role: &str, kind: &str) -> u64 {
+    let all = report["exceptions"].as_array().unwrap().iter();
+    let these = all.filter(|it| it["role"] == role && it["kind"] == kind && it["channel"] == "wheel speed");
+    these.map(|it| it["count"].as_u64().unwrap()).sum()
+}
+
+#[test]
+fn one_seed_gives_one_run_to_the_byte() {
+    let arguments = ["--seconds", "1", "--load", "80", "--errors", "0.005", "--seed"];
+    let run = |name, seed| passed(name, &[arguments.as_slice(), &[seed]].concat());
+    let (first, again, other) = (run("first", "7"), run("again", "7"), run("other", "8"));
+    assert!(first.2.len() > 100_000, "{} bytes", first.2.len());
+    assert!(first.2 == again.2, "the logs of the bus differ");
+    assert_eq!(first.1, again.1);
+    assert!(first.2 != other.2, "another seed, and the same log");
+}
+
+#[test]
+fn a_heavy_load_with_errors_leaves_hard_events_at_their_instants() {
+    let (printed, report, _) = passed("heavy", &["--seconds", "3", "--load", "95", "--errors", "0.001"]);
+    let load = report["bus"]["load_percent"].as_f64().unwrap();
+    assert!((94.0..96.0).contains(&load), "{printed}");
+    assert!(report["slots"]["delivered"].as_u64().unwrap() > 200, "{printed}");
+    assert!(report["bus"]["injected_errors"].as_u64().unwrap() > 5, "{printed}");
+    assert!(report["order"]["contests"].as_u64().unwrap() > 100, "{printed}");
+    assert!(printed.lines().all(|line| line.chars().count() <= 100), "{printed}");
+}
+
+#[test]
+fn a_burst_beyond_the_omission_degree_is_reported_at_publisher_and_subscribers() {
+    let (printed, report, _) = passed("burst", &["--seconds", "1.5", "--errors", "0", "--burst", "9"]);
+    assert_eq!(report["slots"]["beyond_hypothesis"], 1, "{printed}");
+    assert_eq!(report["slots"]["lost"], 1, "{printed}");
+    assert_eq!(exceptions(&report, "publisher", "omission degree exceeded"), 1, "{printed}");
+    assert!(exceptions(&report, "subscriber", "missed event") >= 2, "{printed}");
+    assert!(printed.contains("omission degree exceeded"), "{printed}");
+}
+
+/// It must not run, say why in one line, and leave nothing.
+fn refused(output: &Output, names: &str) {
+    let errors = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{errors}");
+    assert_eq!(errors.trim_end().lines().count(), 1, "{errors}");
+    assert!(errors.starts_with("error: ") && errors.contains(names), "{errors}");
+    assert!(output.stdout.is_empty());
+}
+
+#[test]
+fn a_directory_that_cannot_be_written_is_refused_before_the_run() {
+    let scratch = Scratch::new("unwritable");
+    fs::write(scratch.path("file"), "").unwrap();
+    refused(&demo(&scratch.0, &[], &scratch.path("file/below"), None), "--out");
+    refused(&demo(&scratch.0, &[], &scratch.path("out"), Some(&scratch.path("none/report.json"))), "--json");
+    assert_eq!(fs::read_dir(scratch.path("out")).unwrap().count(), 0);
+}
+
+#[test]
+fn what_is_no_image_is_refused_and_leaves_nothing() {
+    let scratch = Scratch::new("images");
+    let out = scratch.path("out");
+    refused(&demo(&scratch.path("none"), &[], &out, None), "build the firmware");
+    fs::create_dir(scratch.path("images")).unwrap();
+    fs::copy(env!("CARGO_BIN_EXE_demo"), scratch.path("images/sensor")).unwrap();
+    refused(&demo(&scratch.path("images"), &[], &out, None), "another machine");
+    assert_eq!(fs::read_dir(&out).unwrap().count(), 0);
+}
+
+#[test]
+fn wrong_arguments_are_refused() {
+    let scratch = Scratch::new("arguments");
+    for arguments in [["--load", "101"], ["--errors", "2"], ["--seconds", "0"], ["--colour", "no"]] {
+        let output = demo(&scratch.0, &arguments, &scratch.path("out"), None);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(text(&output.stderr).contains(arguments[0]));
+        assert!(!scratch.path("out").exists());
+    }
+}
