@@ -1,18 +1,19 @@
 //! Runs firmware files as the nodes of one cluster and prints what is seen of them.
 //!
-//! `cargo run -p cosmic-emu --example run -- MILLISECONDS ELF...`
+//! `cargo run -p cosmic-emu --example run -- MILLISECONDS LOAD_PERCENT ELF...`
 
 use std::process::ExitCode;
 use std::time::Instant;
 
 use cosmic_bus::{Bus, FaultModel, VirtualInstant};
-use cosmic_core::can::BitRate;
-use cosmic_emu::{ClockError, Cluster, NodeConfig, ObservationKind};
+use cosmic_core::can::{BitRate, Etag, Id, Priority, TxNode};
+use cosmic_emu::{BackgroundLoad, ClockError, Cluster, NodeConfig, ObservationKind};
 
 fn main() -> ExitCode {
     let mut arguments = std::env::args().skip(1);
-    let Some(milliseconds) = arguments.next().and_then(|text| text.parse::<u64>().ok()) else {
-        eprintln!("usage: run MILLISECONDS ELF...");
+    let mut number = || arguments.next().and_then(|text| text.parse::<u32>().ok());
+    let (Some(milliseconds), Some(load_percent)) = (number(), number()) else {
+        eprintln!("usage: run MILLISECONDS LOAD_PERCENT ELF...");
         return ExitCode::FAILURE;
     };
     let mut cluster = Cluster::new(Bus::new(BitRate::MAX, FaultModel::seeded(1)));
@@ -32,9 +33,14 @@ fn main() -> ExitCode {
         }
         names.push(name);
     }
+    let ids = [Priority::new(200), Priority::LEAST]
+        .map(|priority| Id::new(priority, TxNode::MAX, Etag::BOUND_LAST));
+    if let Some(load) = BackgroundLoad::new(cluster.bus(), load_percent, ids.to_vec(), 1) {
+        cluster.add_station("load", Box::new(load));
+    }
     let started = Instant::now();
     for end in 1..=milliseconds {
-        cluster.run_until(VirtualInstant::from_ticks(end * 1_000_000));
+        cluster.run_until(VirtualInstant::from_ticks(u64::from(end) * 1_000_000));
         for seen in cluster.take_observations() {
             if matches!(seen.kind, ObservationKind::Pin { .. } | ObservationKind::Record { .. }) {
                 continue;
@@ -48,6 +54,6 @@ fn main() -> ExitCode {
     }
     println!("{:?}", cluster.bus().accounting());
     let spent = started.elapsed().as_secs_f64();
-    println!("{:.2} virtual seconds a second", milliseconds as f64 / 1000.0 / spent);
+    println!("{:.2} virtual seconds a second", f64::from(milliseconds) / 1000.0 / spent);
     ExitCode::SUCCESS
 }

@@ -138,14 +138,11 @@ impl Cluster {
     }
 
     /// Switches a node off and on again at the present instant.
-    ///
-    /// # Errors
-    /// [`LoadError::Emulator`] if the processor emulator cannot be started again.
-    pub fn restart(&mut self, node: NodeId) -> Result<(), LoadError> {
+    pub fn restart(&mut self, node: NodeId) {
         self.power_off(node);
         let at = self.bus.now();
         self.commands.retain(|(_, owner, _)| *owner != node);
-        self.nodes[node.0].0.restart(at)
+        self.nodes[node.0].0.restart(at);
     }
 
     /// What was seen since the last call, in the order of time; of one instant in the order of nodes.
@@ -217,10 +214,7 @@ impl Cluster {
         self.commands.push((at, id, Command::Disconnect));
         self.commands.push((at, id, Command::Reset));
         self.nodes[node].0.note(at, ObservationKind::Reset);
-        // The core was made with the same parameters before, so this does not fail.
-        if self.nodes[node].0.restart(at).is_err() {
-            self.nodes[node].0.power_off();
-        }
+        self.nodes[node].0.restart(at);
     }
 
     fn run_station(&mut self, station: usize) {

@@ -73,6 +73,7 @@ pub(crate) fn enter(cpu: &mut dyn Cpu, exception: u16, handler: u32, exc_return:
     let control = cpu.register(Register::Control);
     cpu.set_register(Register::Control, control & !(CONTROL_SPSEL | CONTROL_FPCA));
     cpu.set_register(Register::Ipsr, exception.into());
+    cpu.enter_exception();
     cpu.set_register(Register::Lr, exc_return);
     cpu.set_register(Register::Pc, handler);
 }

@@ -66,14 +66,6 @@ pub enum LoadError {
         /// What the decoder says.
         reason: String,
     },
-    /// The processor emulator refuses to start.
-    #[error("{}: the processor emulator refuses to start ({reason})", file.display())]
-    Emulator {
-        /// The file.
-        file: PathBuf,
-        /// What it says.
-        reason: String,
-    },
 }
 
 /// A firmware that was loaded.
@@ -83,8 +75,6 @@ pub(crate) struct Image {
     pub(crate) flash: Vec<u8>,
     /// What else is loaded, in RAM.
     pub(crate) ram: Vec<(u32, Vec<u8>)>,
-    /// Some of the code runs in RAM.
-    pub(crate) executes_ram: bool,
     /// Functions by address: size and name.
     functions: BTreeMap<u32, (u32, String)>,
     /// The RTT control block.
@@ -117,7 +107,6 @@ impl Image {
             file: owned(),
             flash: Vec::new(),
             ram: Vec::new(),
-            executes_ram: false,
             functions: functions(&object),
             rtt: object.symbol_by_name("_SEGGER_RTT").map(|symbol| symbol.address() as u32),
             defmt: None,
@@ -142,9 +131,6 @@ impl Image {
             return Ok(());
         }
         let address = segment.p_paddr(endian);
-        let runs_at = segment.p_vaddr(endian);
-        let in_ram = memory::RAM.holds(runs_at, 0) || memory::CCM.holds(runs_at, 0);
-        self.executes_ram |= in_ram && segment.p_flags(endian) & elf::PF_X != 0;
         let outside = || LoadError::OutsideMemory {
             file: self.file.clone(),
             address,

@@ -13,7 +13,7 @@ use cosmic_core::time::Duration;
 use fugit::HertzU32;
 
 use crate::clock::ClockError;
-use crate::cpu::{Cpu, Io, Pace, Ram, Register, Stop, UnicornCpu};
+use crate::cpu::{Cpu, Interpreter, Io, Pace, Register, Stop};
 use crate::exception::{self, ENTRY_CYCLES, RETURN_CYCLES, TAIL_CHAIN_CYCLES};
 use crate::image::{Image, LoadError};
 use crate::log::LogDecoder;
@@ -108,7 +108,7 @@ impl Node {
             Firmware::Bytes { name, bytes } => Image::parse(Path::new(name), bytes)?,
         };
         let start = config.start_at;
-        let (cpu, pace, system) = power_on(&config, &image, start)?;
+        let (cpu, pace, system) = power_on(&config, &image, start);
         let rtt = image.rtt.map(Rtt::new);
         let log = LogDecoder::default();
         let (state, event) = (State::Running, false);
@@ -116,15 +116,14 @@ impl Node {
     }
 
     /// Switches the node off and on again: RAM and peripherals are as new, probes stay.
-    pub(crate) fn restart(&mut self, at: VirtualInstant) -> Result<(), LoadError> {
+    pub(crate) fn restart(&mut self, at: VirtualInstant) {
         self.drain();
         let probes = self.pace.probes();
-        (self.cpu, self.pace, self.system) = power_on(&self.config, &self.image, at)?;
+        (self.cpu, self.pace, self.system) = power_on(&self.config, &self.image, at);
         probes.into_iter().for_each(|pc| self.pace.add_probe(pc));
         self.rtt = self.image.rtt.map(Rtt::new);
         self.log = LogDecoder::default();
         (self.state, self.event, self.drained_at) = (State::Running, false, at);
-        Ok(())
     }
 
     /// Stops the node without a word: its power fails.
@@ -213,19 +212,16 @@ impl Node {
         match stop {
             Stop::Limit => {}
             Stop::WaitForInterrupt => {
-                self.step_over();
                 self.state = State::Asleep;
                 self.drain();
             }
             Stop::WaitForEvent => {
-                self.step_over();
                 if !std::mem::take(&mut self.event) {
                     self.state = State::Asleep;
                     self.drain();
                 }
             }
             Stop::SendEvent => {
-                self.step_over();
                 self.event = true;
             }
             Stop::SupervisorCall => self.supervisor_call(),
@@ -235,15 +231,7 @@ impl Node {
         }
     }
 
-    /// Executes a 16-bit instruction that the core leaves to us.
-    fn step_over(&mut self) {
-        let pc = self.cpu.register(Register::Pc);
-        self.pace.execute(pc, 2, 1, 1);
-        self.cpu.set_register(Register::Pc, pc + 2);
-    }
-
     fn supervisor_call(&mut self) {
-        self.step_over();
         let masks = exception::masks(self.cpu.as_ref());
         let mut system = self.system.borrow_mut();
         system.nvic.pend(number::SV_CALL);
@@ -427,7 +415,7 @@ fn start_of(frame: &WireFrame, received_at: VirtualInstant, bit_time: Duration) 
 type Hardware = (Box<dyn Cpu>, Rc<Pace>, Rc<RefCell<System>>);
 
 /// A part as it comes out of reset at `at`.
-fn power_on(config: &NodeConfig, image: &Image, at: VirtualInstant) -> Result<Hardware, LoadError> {
+fn power_on(config: &NodeConfig, image: &Image, at: VirtualInstant) -> Hardware {
     let pace = Rc::new(Pace::default());
     let system = System::new(&pace, at, config.clock_error, config.crystal.to_Hz());
     let system = Rc::new(RefCell::new(system));
@@ -438,17 +426,15 @@ fn power_on(config: &NodeConfig, image: &Image, at: VirtualInstant) -> Result<Ha
         (memory::BOOT_ALIAS, image.flash.as_slice()),
         (memory::SYSTEM, system_memory.as_slice()),
     ];
-    let refused =
-        |reason: &dyn core::fmt::Debug| LoadError::Emulator { file: image.file.clone(), reason: format!("{reason:?}") };
-    let ram = Ram { regions: &[memory::RAM, memory::CCM], executable: image.executes_ram };
-    let mut cpu = UnicornCpu::new(&rom, ram, &memory::IO, &io, &pace).map_err(|error| refused(&error))?;
+    let mut cpu = Interpreter::new(&rom, &[memory::RAM, memory::CCM], &memory::IO, &io, &pace);
+    // Neither fails: the loader has checked that both are there.
     for (address, bytes) in &image.ram {
-        cpu.write_memory(*address, bytes).map_err(|error| refused(&error))?;
+        let _ = cpu.write_memory(*address, bytes);
     }
-    let stack = cpu.read_word(memory::FLASH.base).map_err(|error| refused(&error))?;
-    let reset = cpu.read_word(memory::FLASH.base + 4).map_err(|error| refused(&error))?;
+    let vector = |cpu: &Interpreter, number: u32| cpu.read_word(memory::FLASH.base + 4 * number).unwrap_or(0);
+    let (stack, reset) = (vector(&cpu, 0), vector(&cpu, 1));
     cpu.set_register(Register::Msp, stack);
     cpu.set_register(Register::Lr, u32::MAX);
     cpu.set_register(Register::Pc, reset);
-    Ok((Box::new(cpu), pace, system))
+    (Box::new(cpu), pace, system)
 }

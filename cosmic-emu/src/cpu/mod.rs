@@ -2,17 +2,17 @@
 //!
 //! A [`Cpu`] executes Thumb instructions and knows registers and memory. It knows nothing of interrupts,
 //! sleep or peripherals: exception entry and return are [`crate::exception`], the rest is [`crate::soc`].
-//! So the emulator behind it can be replaced.
+//! So the interpreter behind it can be replaced.
 //!
 //! The core and the rest share one [`Pace`]: the core advances it with each instruction and stops where it
 //! says, everybody else reads the time from it.
 
-mod opcode;
+mod cycles;
+mod interpreter;
 mod pace;
-mod unicorn;
 
+pub(crate) use interpreter::Interpreter;
 pub(crate) use pace::Pace;
-pub(crate) use unicorn::{Ram, UnicornCpu};
 
 /// What the core reads and writes outside of its memories.
 pub(crate) trait Io {
@@ -37,9 +37,9 @@ pub(crate) enum Register {
     Lr,
     /// R15, with bit 0 clear.
     Pc,
-    /// Flags, IT state and exception number.
+    /// Flags, IT state, Thumb bit and exception number.
     Xpsr,
-    /// Writes to the exception number only.
+    /// The exception number.
     Ipsr,
     /// Priority mask.
     Primask,
@@ -55,24 +55,24 @@ pub(crate) enum Register {
     Fpscr,
 }
 
-/// Why the core stopped. The PC stands at the instruction that was not executed, unless said otherwise.
+/// Why the core stopped.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Stop {
-    /// The limit of the [`Pace`] is reached.
+    /// The limit of the [`Pace`] is reached. The PC stands at the instruction that was not executed.
     Limit,
-    /// At a WFI.
+    /// Behind a WFI.
     WaitForInterrupt,
-    /// At a WFE.
+    /// Behind a WFE.
     WaitForEvent,
-    /// At a SEV.
+    /// Behind a SEV.
     SendEvent,
-    /// At an SVC.
+    /// Behind an SVC.
     SupervisorCall,
-    /// At a BKPT with this immediate.
+    /// At a BKPT with this immediate, which is not executed.
     Breakpoint(u8),
-    /// The PC was loaded with this EXC_RETURN value.
+    /// A branch to this EXC_RETURN value.
     ExceptionReturn(u32),
-    /// The instruction at PC could not be executed.
+    /// The instruction at PC cannot be executed.
     Fault(Fault),
 }
 
@@ -90,9 +90,20 @@ pub enum Fault {
     /// An undefined instruction, which is also how Rust's `udf` and most panic handlers end.
     #[error("undefined instruction")]
     Undefined,
-    /// Another exception of the core, with the number that the emulator gives it.
-    #[error("processor exception {0}")]
-    Other(u32),
+    /// The address of a double, multiple, floating point or peripheral access is not aligned.
+    #[error("unaligned {access} of address {address:#010x}")]
+    Unaligned {
+        /// What was tried.
+        access: Access,
+        /// Where.
+        address: u32,
+    },
+    /// A branch to an address whose bit 0 is clear: there is no other instruction set than Thumb.
+    #[error("branch to {target:#010x}, which is no Thumb address")]
+    NotThumb {
+        /// The target.
+        target: u32,
+    },
 }
 
 /// A kind of memory access.
@@ -131,6 +142,9 @@ pub(crate) trait Cpu {
     fn read_memory(&self, address: u32, into: &mut [u8]) -> Result<(), NoMemory>;
     /// Copies into memory.
     fn write_memory(&mut self, address: u32, bytes: &[u8]) -> Result<(), NoMemory>;
+    /// What the core itself does at the entry of an exception: it leaves an IT block, whose state is in the
+    /// saved context, and clears its exclusive monitor.
+    fn enter_exception(&mut self);
     /// Executes from PC until there is a reason to stop.
     fn run(&mut self) -> Stop;
 

@@ -1,0 +1,97 @@
+//! The core's view of memory: arrays for flash memory and RAM, everything else is peripherals.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use crate::cpu::{Access, Fault, Io, NoMemory};
+use crate::memory::Region;
+
+/// A memory with its content.
+pub(super) struct Block {
+    pub(super) base: u32,
+    pub(super) bytes: Vec<u8>,
+    pub(super) writable: bool,
+}
+
+/// All that the core can access.
+pub(super) struct Memory {
+    /// In the order in which they are looked at.
+    pub(super) blocks: Vec<Block>,
+    pub(super) io_regions: Vec<Region>,
+    pub(super) io: Rc<RefCell<dyn Io>>,
+}
+
+impl Memory {
+    /// A load of 1, 2 or 4 bytes, zero-extended.
+    #[inline]
+    pub(super) fn load(&mut self, address: u32, size: u32) -> Result<u32, Fault> {
+        for block in &self.blocks {
+            if let Some(bytes) = slice(block, address, size) {
+                let mut word = [0; 4];
+                word[..size as usize].copy_from_slice(bytes);
+                return Ok(u32::from_le_bytes(word));
+            }
+        }
+        self.check_io(address, size, Access::Read)?;
+        Ok(self.io.borrow_mut().read(address, size as usize))
+    }
+
+    /// A store of 1, 2 or 4 bytes.
+    #[inline]
+    pub(super) fn store(&mut self, address: u32, size: u32, value: u32) -> Result<(), Fault> {
+        for block in self.blocks.iter_mut().filter(|block| block.writable) {
+            let offset = address.wrapping_sub(block.base) as usize;
+            if let Some(end) = offset.checked_add(size as usize)
+                && let Some(bytes) = block.bytes.get_mut(offset..end)
+            {
+                bytes.copy_from_slice(&value.to_le_bytes()[..size as usize]);
+                return Ok(());
+            }
+        }
+        self.check_io(address, size, Access::Write)?;
+        self.io.borrow_mut().write(address, size as usize, value);
+        Ok(())
+    }
+
+    /// A halfword of code; none lies in peripherals.
+    pub(super) fn fetch(&self, address: u32) -> Option<u16> {
+        let bytes = self.blocks.iter().find_map(|block| slice(block, address, 2))?;
+        Some(u16::from_le_bytes([bytes[0], bytes[1]]))
+    }
+
+    pub(super) fn read(&self, address: u32, into: &mut [u8]) -> Result<(), NoMemory> {
+        let length = into.len() as u32;
+        let bytes = self.blocks.iter().find_map(|block| slice(block, address, length));
+        into.copy_from_slice(bytes.ok_or(NoMemory(address))?);
+        Ok(())
+    }
+
+    /// Read-only memory is not written.
+    pub(super) fn write(&mut self, address: u32, bytes: &[u8]) -> Result<(), NoMemory> {
+        for block in self.blocks.iter_mut().filter(|block| block.writable) {
+            let offset = address.wrapping_sub(block.base) as usize;
+            if let Some(end) = offset.checked_add(bytes.len())
+                && let Some(into) = block.bytes.get_mut(offset..end)
+            {
+                into.copy_from_slice(bytes);
+                return Ok(());
+            }
+        }
+        Err(NoMemory(address))
+    }
+
+    /// Peripherals take aligned accesses only.
+    fn check_io(&self, address: u32, size: u32, access: Access) -> Result<(), Fault> {
+        let is_io = self.io_regions.iter().any(|region| region.holds(address, size as usize));
+        if !is_io {
+            return Err(Fault::Access { access, address });
+        }
+        if address % size == 0 { Ok(()) } else { Err(Fault::Unaligned { access, address }) }
+    }
+}
+
+#[inline]
+fn slice(block: &Block, address: u32, size: u32) -> Option<&[u8]> {
+    let offset = address.wrapping_sub(block.base) as usize;
+    block.bytes.get(offset..offset.checked_add(size as usize)?)
+}
