@@ -13,6 +13,10 @@
 //! ΔT_wait covers the longest lower-priority frame, which cannot be pre-empted, and a fault on it. The
 //! gap of at least 2ε + release jitter keeps windows apart when clocks differ by up to ε from global
 //! time.
+//!
+//! Slots of different nodes with the same period, phase and omission degree form a *pool*: their frames
+//! are loaded together, so that only one lower-priority frame can hold them up, follow each other, and share
+//! one budget of `k` faults. Their window is `ΔT_wait + Σ C(s) + k · (max C(s) + E) + gap`, for all of them.
 
 use crate::can::{BitRate, ERROR_RECOVERY_BITS, Etag, LONGEST_FRAME_BITS, Payload, TxNode};
 use crate::time::Duration;
@@ -37,10 +41,17 @@ pub struct Slot {
     pub phase: Duration,
 }
 
+impl Slot {
+    /// Does each occurrence of one begin with one of the other?
+    const fn is_ready_with(&self, other: &Self) -> bool {
+        self.period.as_ticks() == other.period.as_ticks() && self.phase.as_ticks() == other.phase.as_ticks()
+    }
+}
+
 /// Instants of a slot relative to its ready instant, each not before the one above it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct SlotTimes {
-    /// Latest start time: surely on the bus by now, if there was no fault.
+    /// Latest start time: surely on the bus by now, if there was no fault. Of a pool: one of its frames.
     pub latest_start: Duration,
     /// The last retransmission has ended.
     pub deadline: Duration,
@@ -104,7 +115,8 @@ pub enum CalendarError {
     Phase(usize),
     /// The slot's window is longer than its period.
     Window(usize),
-    /// Some occurrences of the two slots overlap.
+    /// Some occurrences of the two slots overlap. (Or they are ready together, but are of one node or have
+    /// different omission degrees, and so form no pool.)
     Overlap(usize, usize),
 }
 
@@ -209,9 +221,35 @@ impl Calendar {
         self.digest
     }
 
-    /// The instants of a slot, relative to its ready instant.
+    /// The instants of a slot, relative to its ready instant. O(n) in the number of slots.
     pub const fn slot_times(&self, slot: &Slot) -> SlotTimes {
-        self.segment.slot_times(slot.len, slot.omission_degree)
+        window(&self.segment, self.slots, slot)
+    }
+}
+
+/// The instants of a slot, or of the pool that it belongs to.
+const fn window(segment: &Segment, slots: &[Slot], slot: &Slot) -> SlotTimes {
+    let mut longest = slot.len;
+    let mut others = 0;
+    let mut at = 0;
+    while at < slots.len() {
+        let other = &slots[at];
+        if other.is_ready_with(slot) && other.publisher.get() != slot.publisher.get() {
+            others += segment.bit_rate.longest_frame(other.len as usize).as_ticks();
+            if other.len > longest {
+                longest = other.len;
+            }
+        }
+        at += 1;
+    }
+    // Each fault costs the longest frame again; the frames themselves are sent once each.
+    let alone = segment.slot_times(longest, slot.omission_degree);
+    let spared = segment.bit_rate.longest_frame(longest as usize).as_ticks()
+        - segment.bit_rate.longest_frame(slot.len as usize).as_ticks();
+    SlotTimes {
+        latest_start: alone.latest_start,
+        deadline: Duration::from_ticks(alone.deadline.as_ticks() + others - spared),
+        delivery: Duration::from_ticks(alone.delivery.as_ticks() + others - spared),
     }
 }
 
@@ -237,26 +275,37 @@ const fn check_slot(
     if slot.phase.as_ticks() >= slot.period.as_ticks() {
         return Err(CalendarError::Phase(at));
     }
-    let window = segment.slot_times(slot.len, slot.omission_degree).delivery.as_ticks();
-    if window > slot.period.as_ticks() {
+    let own = window(segment, slots, slot).delivery.as_ticks();
+    if own > slot.period.as_ticks() {
         return Err(CalendarError::Window(at));
     }
     let mut other = 0;
-    while other < at {
-        let earlier = &slots[other];
-        // Occurrences of two periodic slots come as close as their distance modulo the common divisor.
-        let grid = greatest_common_divisor(slot.period.as_ticks(), earlier.period.as_ticks());
-        let behind = (slot.phase.as_ticks() % grid + grid - earlier.phase.as_ticks() % grid) % grid;
-        let others = segment.slot_times(earlier.len, earlier.omission_degree).delivery.as_ticks();
-        if behind < others || grid - behind < window {
-            return Err(CalendarError::Overlap(other, at));
+    while other < slots.len() {
+        if other != at && overlaps(slot, own, &slots[other]) {
+            let (first, second) = if other < at { (other, at) } else { (at, other) };
+            return Err(CalendarError::Overlap(first, second));
         }
         other += 1;
     }
     Ok(())
 }
 
+/// Does some occurrence of `other` begin within one of the windows of `slot`, and not as part of its pool?
+const fn overlaps(slot: &Slot, window: u64, other: &Slot) -> bool {
+    if slot.is_ready_with(other) {
+        return slot.publisher.get() == other.publisher.get()
+            || slot.omission_degree != other.omission_degree;
+    }
+    // Occurrences of two periodic slots come as close as their distance modulo the common divisor.
+    let grid = greatest_common_divisor(slot.period.as_ticks(), other.period.as_ticks());
+    let behind = (other.phase.as_ticks() % grid + grid - slot.phase.as_ticks() % grid) % grid;
+    behind < window
+}
+
 const fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
+    if a == b {
+        return a;
+    }
     while b != 0 {
         (a, b) = (b, a % b);
     }
@@ -329,6 +378,30 @@ mod tests {
             calendar(10, &[slot(100, 10, 0), slot(101, 10, 10_000 - window + 1)]),
             Err(CalendarError::Overlap(0, 1))
         );
+    }
+
+    #[test]
+    fn a_pool_shares_one_window_and_one_budget_of_faults() {
+        let other = TxNode::new(1).unwrap();
+        let short = Slot { publisher: other, len: 4, ..slot(101, 10, 0) };
+        let pooled = calendar(10, &[slot(100, 10, 0), short]).unwrap();
+        for member in pooled.slots() {
+            let times = pooled.slot_times(member);
+            assert_eq!(times.latest_start, Duration::from_micros(191));
+            assert_eq!(times.deadline, Duration::from_micros(191 + 160 + 120 + 191));
+            assert_eq!(times.delivery, times.deadline + Duration::from_micros(20));
+        }
+        // What follows must keep clear of the whole window.
+        let window = 191 + 160 + 120 + 191 + 20;
+        let members = [slot(100, 10, 0), short];
+        assert!(calendar(10, &[members[0], members[1], slot(102, 10, window)]).is_ok());
+        let close = calendar(10, &[members[0], members[1], slot(102, 10, window - 1)]);
+        assert_eq!(close, Err(CalendarError::Overlap(0, 2)));
+        // One node has one mailbox for hard real-time frames, and a pool one budget.
+        let same_node = calendar(10, &[slot(100, 10, 0), slot(101, 10, 0)]);
+        assert_eq!(same_node, Err(CalendarError::Overlap(0, 1)));
+        let other_degree = Slot { omission_degree: 2, ..short };
+        assert_eq!(calendar(10, &[slot(100, 10, 0), other_degree]), Err(CalendarError::Overlap(0, 1)));
     }
 
     #[test]

@@ -13,18 +13,16 @@ fn analyse(text: &str) -> Vec<Finding> {
 #[test]
 fn three_messages_that_refute_the_analysis_of_1994() {
     let message = |name: &str, period: &str, deadline: &str| {
-        format!("[[message]]\nname = '{name}'\ntransmission_time = 1\nperiod = {period}\ndeadline = {deadline}\n")
+        format!(
+            "[[message]]\nname = '{name}'\ntransmission_time = 1\nperiod = {period}\ndeadline = {deadline}\n"
+        )
     };
     let set = [message("A", "2.5", "2.5"), message("B", "3.5", "3.25"), message("C", "3.5", "3.25")].concat();
     let found = analyse(&format!("bit_rate = 125_000\ntime_unit = 'ms'\n{set}"));
     let summary: Vec<_> = found.iter().map(|f| (f.exact_us, f.blocking_us, f.verdict)).collect();
     assert_eq!(
         summary,
-        [
-            (Some(2000.0), 1000.0, "meets"),
-            (Some(3000.0), 1000.0, "meets"),
-            (Some(3500.0), 0.0, "misses"),
-        ]
+        [(Some(2000.0), 1000.0, "meets"), (Some(3000.0), 1000.0, "meets"), (Some(3500.0), 0.0, "misses"),]
     );
     assert_eq!((found[2].instances, found[2].worst_instance), (2, 1));
     // The sufficient test finds the first two and rightly refuses the third.

@@ -23,10 +23,10 @@ pub fn growth(cluster: &Cluster, watch: &dyn Fn(&str)) -> Vec<Growth> {
         .map(|channel| {
             watch("asking how far channels could grow");
             match cluster.channels[channel].class {
-                Class::Hard { omission_degree, .. } => Growth {
+                Class::Hard { .. } => Growth {
                     channel,
                     shortest_period: shortest_hard_period(cluster, channel),
-                    highest_omission_degree: highest_omission_degree(cluster, channel, omission_degree),
+                    highest_omission_degree: highest_omission_degree(cluster, channel),
                 },
                 _ => Growth {
                     channel,
@@ -72,12 +72,7 @@ fn holds(cluster: &Cluster) -> bool {
 
 fn shortest_period(cluster: &Cluster, channel: usize) -> Option<Duration> {
     let now = cluster.channels[channel].recurrence.span().as_ticks();
-    let with = |period: u64| {
-        let mut changed = cluster.clone();
-        let span = Duration::from_ticks(period);
-        changed.channels[channel].recurrence = changed.channels[channel].recurrence.with_span(span);
-        changed
-    };
+    let with = |period: u64| cluster.with_period(channel, Duration::from_ticks(period));
     // In steps of a thousandth of the period, so that few trials suffice.
     let step = (now / 1000).max(1);
     let fewer = largest(0, u32::try_from(now / step - 1).unwrap_or(0), |steps| {
@@ -93,25 +88,19 @@ fn shortest_hard_period(cluster: &Cluster, channel: usize) -> Option<Duration> {
     }
     let mut shortest = now;
     for part in (2..=20).filter(|part| now % part == 0) {
-        let mut changed = cluster.clone();
-        let span = Duration::from_ticks(now / part);
-        changed.channels[channel].recurrence = changed.channels[channel].recurrence.with_span(span);
-        if holds(&changed) {
+        if holds(&cluster.with_period(channel, Duration::from_ticks(now / part))) {
             shortest = now / part;
         }
     }
     Some(Duration::from_ticks(shortest))
 }
 
-fn highest_omission_degree(cluster: &Cluster, channel: usize, now: u8) -> Option<u8> {
-    let highest = largest(u32::from(now), 255, |degree| {
-        let mut changed = cluster.clone();
-        if let Class::Hard { omission_degree, .. } = &mut changed.channels[channel].class {
-            *omission_degree = u8::try_from(degree).unwrap_or(u8::MAX);
-        }
-        holds(&changed)
-    })?;
-    u8::try_from(highest).ok()
+fn highest_omission_degree(cluster: &Cluster, channel: usize) -> Option<u8> {
+    let now = cluster.omission_degree(channel)?;
+    let degree = |value: u32| u8::try_from(value).unwrap_or(u8::MAX);
+    let highest =
+        largest(u32::from(now), 255, |value| holds(&cluster.with_omission_degree(channel, degree(value))))?;
+    Some(degree(highest))
 }
 
 /// The largest value from `low` to `high` that passes, if `low` does; what passes does so from `low` on.

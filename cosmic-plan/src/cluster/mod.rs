@@ -231,6 +231,38 @@ impl Cluster {
         self.channels.iter().position(|channel| channel.name == name)
     }
 
+    /// The same cluster with another period of this channel, and of those that share its pool.
+    #[must_use]
+    pub fn with_period(&self, channel: usize, span: Duration) -> Self {
+        let mut changed = self.clone();
+        let members = self.pool_of(channel).map_or(vec![channel], |pool| self.pools[pool].channels.clone());
+        for member in members {
+            changed.channels[member].recurrence = changed.channels[member].recurrence.with_span(span);
+        }
+        changed
+    }
+
+    /// How many faults a hard real-time channel's slots tolerate: each by itself, or with their pool.
+    pub fn omission_degree(&self, channel: usize) -> Option<u8> {
+        match (&self.channels[channel].class, self.pool_of(channel)) {
+            (Class::Hard { .. }, Some(pool)) => Some(self.pools[pool].faults),
+            (Class::Hard { omission_degree, .. }, None) => Some(*omission_degree),
+            _ => None,
+        }
+    }
+
+    /// The same cluster with another omission degree of this channel, or of its pool.
+    #[must_use]
+    pub fn with_omission_degree(&self, channel: usize, degree: u8) -> Self {
+        let mut changed = self.clone();
+        if let Some(pool) = self.pool_of(channel) {
+            changed.pools[pool].faults = degree;
+        } else if let Class::Hard { omission_degree, .. } = &mut changed.channels[channel].class {
+            *omission_degree = degree;
+        }
+        changed
+    }
+
     /// The pool that a channel's slots belong to.
     pub fn pool_of(&self, channel: usize) -> Option<usize> {
         self.pools.iter().position(|pool| pool.channels.contains(&channel))

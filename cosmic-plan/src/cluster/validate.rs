@@ -404,6 +404,12 @@ impl Checker<'_> {
             let what = format!("{} bytes are too many", length.value);
             self.problem(&length.place, format!("foreign.{name}.length"), what, "write at most 8");
         }
+        let first_byte = if extended { id.value >> 21 } else { id.value >> 3 };
+        if first_byte == 0 {
+            let what = "it would win against hard real-time frames, which have the priority 0";
+            let help = "choose an identifier from 0x8 (11 bits) or 0x200000 (29 bits) up";
+            self.problem(&id.place, format!("foreign.{name}.id"), what, help);
+        }
         let fallback = format!("{:#x}", id.value);
         vec![Foreign {
             name: if name.is_empty() { fallback } else { name.to_owned() },

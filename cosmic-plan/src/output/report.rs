@@ -94,16 +94,19 @@ pub struct PoolEffect {
 pub fn pool_effect(cluster: &Cluster, plan: &Plan, pool: usize) -> Option<PoolEffect> {
     let slots: Vec<&PlannedSlot> = plan.slots().iter().filter(|slot| slot.pool == Some(pool)).collect();
     let shared = slots.first()?.times.delivery;
+    let degree = |planned: &PlannedSlot| match cluster.channels[planned.channel].class {
+        Class::Hard { omission_degree, .. } => omission_degree,
+        _ => 0,
+    };
     let alone = |planned: &&PlannedSlot| {
-        let slot = &planned.slot;
-        cluster.segment.slot_times(slot.len, slot.omission_degree).delivery.as_ticks()
+        cluster.segment.slot_times(planned.slot.len, degree(planned)).delivery.as_ticks()
     };
     let faults = cluster.pools[pool].faults;
     let degrees: Vec<String> = slots
         .iter()
         .map(|planned| {
             let name = &cluster.channels[planned.channel].name;
-            format!("{name} up to {} faults", planned.slot.omission_degree)
+            format!("{name} up to {} faults", degree(planned))
         })
         .collect();
     Some(PoolEffect {
@@ -167,15 +170,11 @@ pub fn of_growth(cluster: &Cluster, growth: &[Growth], common: Option<u32>) -> V
         "event_rates_up_to_percent": common,
         "channels": growth.iter().map(|growth| {
             let channel = &cluster.channels[growth.channel];
-            let degree = match channel.class {
-                Class::Hard { omission_degree, .. } => Some(omission_degree),
-                _ => None,
-            };
             json!({
                 "channel": channel.name,
                 "period_us": as_microseconds(channel.recurrence.span()),
                 "shortest_period_us": growth.shortest_period.map(as_microseconds),
-                "omission_degree": degree,
+                "omission_degree": cluster.omission_degree(growth.channel),
                 "highest_omission_degree": growth.highest_omission_degree,
             })
         }).collect::<Vec<_>>(),

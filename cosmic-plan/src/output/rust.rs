@@ -97,12 +97,19 @@ fn write_channels(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fmt:
     writeln!(out, "pub mod channels {{")?;
     for (at, channel) in cluster.channels.iter().enumerate() {
         let slots: Vec<usize> = (0..plan.slots().len()).filter(|s| plan.slots()[*s].channel == at).collect();
-        write_channel(out, channel, &slots)?;
+        let degree = slots.first().map(|slot| plan.slots()[*slot].slot.omission_degree);
+        write_channel(out, channel, &slots, degree)?;
     }
     writeln!(out, "}}\n")
 }
 
-fn write_channel(out: &mut String, channel: &Channel, slots: &[usize]) -> std::fmt::Result {
+/// `degree`: that of the channel's slots, which is its pool's if it is in one.
+fn write_channel(
+    out: &mut String,
+    channel: &Channel,
+    slots: &[usize],
+    degree: Option<u8>,
+) -> std::fmt::Result {
     let class = channel.class.abbreviation();
     writeln!(out, "    /// {class} channel `{}`: at most {} bytes.", channel.name, channel.length)?;
     writeln!(out, "    pub mod {} {{", channel.name)?;
@@ -124,16 +131,17 @@ fn write_channel(out: &mut String, channel: &Channel, slots: &[usize]) -> std::f
         let value = format!("super::super::SLOTS[{slot}]");
         constant("Its slot in the calendar.", "SLOT", "::cosmic_core::calendar::Slot", value)?;
     }
-    let (of, value) = attributes(channel);
+    let (of, value) = attributes(channel, degree);
     constant("The quality that the channel is announced with.", "ATTRIBUTES", of, value)?;
     writeln!(out, "    }}")
 }
 
-fn attributes(channel: &Channel) -> (&'static str, String) {
+fn attributes(channel: &Channel, degree: Option<u8>) -> (&'static str, String) {
     match &channel.class {
         Class::Hard { omission_degree, .. } => {
             let periodic = matches!(channel.recurrence, Recurrence::Periodic(_));
             let period = duration(channel.recurrence.span());
+            let omission_degree = degree.unwrap_or(*omission_degree);
             let of = "::cosmic_core::event_layer::HardAttributes";
             let fields =
                 format!("period: {period}, periodic: {periodic}, omission_degree: {omission_degree}");

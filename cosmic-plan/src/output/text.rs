@@ -3,7 +3,7 @@
 use super::report::pool_effect;
 use crate::analysis::segment::Assessment;
 use crate::analysis::sensitivity::Growth;
-use crate::cluster::{Class, Cluster};
+use crate::cluster::Cluster;
 use crate::plan::relax::Relaxation;
 use crate::plan::{Method, NoPlan, Plan};
 use crate::units::{microseconds, show, show_rate};
@@ -169,10 +169,8 @@ pub fn of_growth(cluster: &Cluster, growth: &[Growth], common: Option<u32>) -> S
             Some(shortest) => format!("{} down to {}", show(channel.recurrence.span()), show(shortest)),
             None => "does not hold as it is".to_owned(),
         };
-        let degree = match (&channel.class, growth.highest_omission_degree) {
-            (Class::Hard { omission_degree, .. }, Some(highest)) => {
-                format!(", k = {omission_degree} up to {highest}")
-            }
+        let degree = match (cluster.omission_degree(growth.channel), growth.highest_omission_degree) {
+            (Some(now), Some(highest)) => format!(", k = {now} up to {highest}"),
             _ => String::new(),
         };
         let _ = writeln!(out, "  {:<18} period {period}{degree}", cut(&channel.name, 18));

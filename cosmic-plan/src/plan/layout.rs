@@ -88,7 +88,11 @@ impl Layout {
         for ((item, owner), position) in self.request.items.iter().zip(&self.owners).zip(positions) {
             let phase = position.rem_euclid(item.period);
             for &(channel, node) in &owner.slots {
-                let slot = slot(cluster, channel, node, item.period, phase);
+                let mut slot = slot(cluster, channel, node, item.period, phase);
+                if let Some(pool) = owner.pool {
+                    // In the calendar, slots that are ready together share this one budget.
+                    slot.omission_degree = cluster.pools[pool].faults;
+                }
                 slots.push(PlannedSlot { channel, node, slot, times: owner.times, pool: owner.pool });
             }
         }

@@ -30,6 +30,8 @@ pub fn relaxations(cluster: &Cluster, conflict: &Conflict, effort: &Effort<'_>) 
     }
     found.extend(faster_bus(cluster, &part));
     found.sort_by_key(|relaxation| relaxation.cost);
+    // Members of a pool change together.
+    found.dedup_by(|a, b| a.change == b.change);
     found
 }
 
@@ -46,19 +48,15 @@ fn without_wishes(cluster: &Cluster, channel: usize, effort: &Effort<'_>) -> Opt
 }
 
 fn fewer_omissions(cluster: &Cluster, channel: usize, effort: &Effort<'_>) -> Option<Relaxation> {
-    let Class::Hard { omission_degree: now, .. } = cluster.channels[channel].class else { return None };
-    let mut changed = cluster.clone();
-    for fewer in (0..now).rev() {
-        if let Class::Hard { omission_degree, .. } = &mut changed.channels[channel].class {
-            *omission_degree = fewer;
-        }
-        if is_plannable(&changed, effort) {
-            let name = &cluster.channels[channel].name;
-            let change = format!("{name}: omission_degree = {fewer} instead of {now}");
-            return Some(Relaxation { change, cost: 2 * u32::from(now - fewer) });
-        }
-    }
-    None
+    let now = cluster.omission_degree(channel)?;
+    let fewer =
+        (0..now).rev().find(|fewer| is_plannable(&cluster.with_omission_degree(channel, *fewer), effort))?;
+    let name = &cluster.channels[channel].name;
+    let change = match cluster.pool_of(channel) {
+        Some(pool) => format!("pool P{pool}: faults = {fewer} instead of {now}"),
+        None => format!("{name}: omission_degree = {fewer} instead of {now}"),
+    };
+    Some(Relaxation { change, cost: 2 * u32::from(now - fewer) })
 }
 
 /// A period that other channels have already keeps the calendar simple, so these are tried beside multiples.
@@ -70,10 +68,8 @@ fn longer_period(cluster: &Cluster, channel: usize, effort: &Effort<'_>) -> Opti
     periods.sort_unstable();
     periods.dedup();
     for period in periods {
-        let mut changed = cluster.clone();
         let longer = Duration::from_ticks(period);
-        changed.channels[channel].recurrence = changed.channels[channel].recurrence.with_span(longer);
-        if is_plannable(&changed, effort) {
+        if is_plannable(&cluster.with_period(channel, longer), effort) {
             let name = &cluster.channels[channel].name;
             let change = format!(
                 "{name}: a period of {} instead of {}",

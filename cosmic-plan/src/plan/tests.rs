@@ -10,7 +10,14 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 /// Fills a cycle with windows at random places, until `slots` occurrences are in it or nothing more fits.
-fn planted(seed: u64, periods: &[i64], windows: std::ops::Range<i64>, slots: i64, bounded: bool, dense: bool) -> Request {
+fn planted(
+    seed: u64,
+    periods: &[i64],
+    windows: std::ops::Range<i64>,
+    slots: i64,
+    bounded: bool,
+    dense: bool,
+) -> Request {
     let mut rng = rng(seed);
     let cycle = periods.iter().fold(1, |c, p| c / super::request::gcd(c, *p) * p);
     let mut circles: BTreeMap<i64, Circle> = periods.iter().map(|p| (*p, Circle::new(*p))).collect();
@@ -25,7 +32,13 @@ fn planted(seed: u64, periods: &[i64], windows: std::ops::Range<i64>, slots: i64
             continue;
         }
         let (from, to) = places[rng.random_range(0..places.len())];
-        let x = if dense { let x = from; let _ = to; x } else { rng.random_range(from..=to) };
+        let x = if dense {
+            let x = from;
+            let _ = to;
+            x
+        } else {
+            rng.random_range(from..=to)
+        };
         for circle in circles.values_mut() {
             circle.take(x, window, period);
         }
@@ -69,7 +82,10 @@ fn bench() {
                 times.push(t.elapsed().as_millis());
             }
             times.sort();
-            println!("{name} bounded {bounded}: util {util:.2} failed {failed} median {} max {}", times[15], times[29]);
+            println!(
+                "{name} bounded {bounded}: util {util:.2} failed {failed} median {} max {}",
+                times[15], times[29]
+            );
         }
     }
 }

@@ -97,7 +97,12 @@ impl Bed {
             self.handle(&mut events, now);
             while let Some(&(published, nominal, source)) = releases.get(next).filter(|r| r.0 <= now) {
                 next += 1;
-                self.publish(Pending { source, nominal, published, frames_left: self.sources[source].frames });
+                self.publish(Pending {
+                    source,
+                    nominal,
+                    published,
+                    frames_left: self.sources[source].frames,
+                });
             }
             self.promote(now);
             self.refill(now);
@@ -125,7 +130,8 @@ impl Bed {
                     let seen = &mut self.seen[pending.source];
                     seen.count += 1;
                     seen.from_nominal = seen.from_nominal.max(event.at.as_ticks() - pending.nominal);
-                    seen.from_publication = seen.from_publication.max(event.at.as_ticks() - pending.published);
+                    seen.from_publication =
+                        seen.from_publication.max(event.at.as_ticks() - pending.published);
                 }
                 EventKind::Withdrawn { mailbox } => {
                     let lane = self.lanes.get_mut(&(node, mailbox)).expect("it was loaded");
@@ -203,7 +209,8 @@ impl Bed {
             .collect();
         for (node, mailbox) in free {
             let lane = &self.lanes[&(node, mailbox)];
-            let first = (0..lane.queue.len()).min_by_key(|at| self.rank(&lane.queue[*at])).expect("not empty");
+            let first =
+                (0..lane.queue.len()).min_by_key(|at| self.rank(&lane.queue[*at])).expect("not empty");
             let pending = self.lanes.get_mut(&(node, mailbox)).expect("it is there").queue.remove(first);
             let priority = self.priority(&pending, now);
             let source = &self.sources[pending.source];

@@ -177,22 +177,30 @@ fn segment(rng: &mut TestRng, faults: u32) -> String {
         published[node].push(format!("'c{at}'"));
         let class = ["HRT", "SRT", "SRT", "SRT", "NRT"][rng.random_range(0..5_usize)];
         let length = if class == "NRT" { rng.random_range(0..30) } else { rng.random_range(0..=8) };
-        writeln!(channels, "[[channel]]\nname = 'c{at}'\nsubject = {}\nclass = '{class}'\nlength = {length}", at + 1)
-            .unwrap();
+        writeln!(
+            channels,
+            "[[channel]]\nname = 'c{at}'\nsubject = {}\nclass = '{class}'\nlength = {length}",
+            at + 1
+        )
+        .unwrap();
         match class {
             "HRT" => writeln!(channels, "period = '{} ms'", [5, 10, 20][rng.random_range(0..3_usize)]),
             "SRT" => {
                 let period = rng.random_range(8..100) * 100;
                 let deadline = rng.random_range(5..60) * 100;
                 let jitter = rng.random_range(0..5) * 50;
-                writeln!(channels, "period = '{period} us'\ndeadline = '{deadline} us'\njitter = '{jitter} us'")
+                writeln!(
+                    channels,
+                    "period = '{period} us'\ndeadline = '{deadline} us'\njitter = '{jitter} us'"
+                )
             }
             _ => writeln!(channels, "period = '40 ms'\nimportance = {}", rng.random_range(0..5)),
         }
         .unwrap();
     }
     for (at, names) in published.iter().enumerate() {
-        writeln!(text, "[[node]]\nname = 'n{at}'\nuid = {}\npublishes = [{}]", at + 1, names.join(", ")).unwrap();
+        writeln!(text, "[[node]]\nname = 'n{at}'\nuid = {}\npublishes = [{}]", at + 1, names.join(", "))
+            .unwrap();
     }
     text + &channels
 }
@@ -200,8 +208,10 @@ fn segment(rng: &mut TestRng, faults: u32) -> String {
 fn sources(rng: &mut TestRng, cluster: &Cluster, plan: &Plan, end: u64, together: bool) -> Vec<Source> {
     let mut sources = Vec::new();
     for (at, channel) in cluster.channels.iter().enumerate() {
-        let node = cluster.nodes.iter().position(|node| node.publishes.contains(&at)).expect("it is published");
-        let tail = u32::from(cluster.nodes[node].tx_node.get()) << 14 | u32::from(channel.etag.unwrap().get());
+        let node =
+            cluster.nodes.iter().position(|node| node.publishes.contains(&at)).expect("it is published");
+        let tail =
+            u32::from(cluster.nodes[node].tx_node.get()) << 14 | u32::from(channel.etag.unwrap().get());
         let (period, jitter) = (channel.recurrence.span().as_ticks(), channel.jitter.as_ticks());
         let (mailbox, class, releases, frames) = match &channel.class {
             cluster::Class::Hard { .. } => {
@@ -221,7 +231,8 @@ fn sources(rng: &mut TestRng, cluster: &Cluster, plan: &Plan, end: u64, together
             cluster::Class::NonRealTime { importance } => {
                 let first = if together { START - 2_000 } else { START + rng.random_range(0..period) };
                 let priority = u32::from(cluster::Class::priority_of(*importance).get());
-                let frames = if channel.length <= 8 { 1 } else { (u32::from(channel.length) + 2).div_ceil(7) };
+                let frames =
+                    if channel.length <= 8 { 1 } else { (u32::from(channel.length) + 2).div_ceil(7) };
                 let id = priority << 21 | tail;
                 (2, Class::Fixed { extended: true, id }, releases(rng, first, period, jitter, end), frames)
             }
