@@ -55,10 +55,19 @@ impl LocalClock {
 
     /// What the timer shows.
     pub(super) fn read(&self, at: VirtualInstant) -> Instant {
-        let elapsed = at.as_ticks().saturating_sub(self.powered_on.as_ticks());
-        let shown = (elapsed as i64 + self.gained(elapsed as i64)) as u64;
         let tick = self.errors.tick.as_ticks();
-        self.errors.starts_at + Duration::from_ticks(shown / tick * tick)
+        self.errors.starts_at + Duration::from_ticks(self.counted(at) / tick * tick)
+    }
+
+    /// What it would show if it had no ticks.
+    pub(super) fn exact(&self, at: VirtualInstant) -> Instant {
+        self.errors.starts_at + Duration::from_ticks(self.counted(at))
+    }
+
+    /// Nanoseconds since power-on by the oscillator.
+    fn counted(&self, at: VirtualInstant) -> u64 {
+        let elapsed = at.as_ticks().saturating_sub(self.powered_on.as_ticks());
+        (elapsed as i64 + self.gained(elapsed as i64)) as u64
     }
 
     /// What the drift makes of a span; in arithmetic of its own, for it judges the core's.

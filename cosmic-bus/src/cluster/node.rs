@@ -62,6 +62,8 @@ pub struct Access<'n, S: Services> {
     pub global: GlobalInstant,
     /// True time, which a real node cannot know: for judging, not for acting.
     pub true_now: VirtualInstant,
+    /// The present local time between the ticks of the timer: for judging, too.
+    pub exact_now: Instant,
     half: &'n mut Half<S>,
     hard: &'n mut HrtBuffers<SLOTS>,
     commands: &'n mut Vec<Command>,
@@ -214,6 +216,8 @@ impl<S: Services> Node<S> {
         match *kind {
             EventKind::Received(frame) => {
                 let Ok(frame) = Frame::try_from(frame) else { return };
+                // Receivers accept one bit before the sender is done; time-stamps are of the end.
+                let stamp = stamp + bus.bit_rate().bit_time();
                 if running.hard.on_frame(&frame, stamp) {
                     return;
                 }
@@ -330,6 +334,7 @@ impl<S: Services> Node<S> {
             now: local,
             global: running.hard.clock().to_global(local),
             true_now: now,
+            exact_now: running.clock.exact(now),
             half: &mut running.half,
             hard: &mut running.hard,
             commands: &mut self.commands,

@@ -3,7 +3,9 @@
 //! An experiment prints a figure and the conditions under which it was measured. Everything follows from
 //! the seed, but for the speed of the host. `docs/experiments.md` explains them and shows the results.
 
+mod clock;
 mod edf;
+mod nodes;
 mod output;
 mod random;
 
@@ -25,11 +27,14 @@ struct Arguments {
 enum Experiment {
     /// How far the bus can be loaded until the first deadline is missed: EDF against fixed priorities.
     Edf(edf::Options),
+    /// How far clocks are from the master, and whether they know it.
+    Clock(clock::Options),
 }
 
 fn main() -> ExitCode {
     let result = match &Arguments::parse().experiment {
         Experiment::Edf(options) => edf::run(options),
+        Experiment::Clock(options) => clock::run(options),
     };
     match result {
         Ok(output::Verdict::Holds) => ExitCode::SUCCESS,
