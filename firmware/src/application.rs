@@ -5,7 +5,7 @@ use core::future::poll_fn;
 use boards::clock;
 use boards::stm32f4::MeasuringPoint;
 use cosmic_core::event_half::Delivered;
-use cosmic_core::event_layer::{Channel, Event, Filter, Policy, Publication, Subscription};
+use cosmic_core::event_layer::{Channel, Event, Policy, Publication, Subscription};
 use rtic::Mutex;
 use rtic_sync::signal::SignalWriter;
 
@@ -41,7 +41,7 @@ impl<C: Sequenced + defmt::Format> Publisher<C> {
         node: &mut impl Mutex<T = Node>,
         buffers: &mut impl Mutex<T = Buffers>,
     ) -> Self {
-        let publication = node.lock(|node| node.half().announce(channel, &mut Locked(buffers)));
+        let publication = node.lock(|node| node.announce(channel, &mut Locked(buffers)));
         let publication = defmt::unwrap!(publication);
         Self { channel: *channel, publication }
     }
@@ -79,8 +79,7 @@ impl<C: Sequenced> Subscriber<C> {
         node: &mut impl Mutex<T = Node>,
         buffers: &mut impl Mutex<T = Buffers>,
     ) -> Self {
-        let subscription =
-            node.lock(|node| node.half().subscribe(channel, Filter::ALL, policy, &mut Locked(buffers)));
+        let subscription = node.lock(|node| node.subscribe(channel, policy, &mut Locked(buffers)));
         let subscription = defmt::unwrap!(subscription);
         Self { channel: *channel, subscription }
     }

@@ -27,6 +27,7 @@ pub struct Storage {
     outcomes: Queue<Item, 8>,
     notices: Queue<Item, 16>,
     wake: Signal<()>,
+    wake_calendar: Signal<()>,
     lost: AtomicU32,
 }
 
@@ -61,6 +62,10 @@ pub struct Ends {
     pub wake: SignalWriter<'static, ()>,
     /// For the event-triggered half.
     pub inbox: Inbox,
+    /// For the application: wakes the calendar task, to look at the slots again.
+    pub wake_calendar: SignalWriter<'static, ()>,
+    /// For the calendar task.
+    pub calendar_wakes: SignalReader<'static, ()>,
 }
 
 impl Storage {
@@ -72,6 +77,7 @@ impl Storage {
             outcomes: Queue::new(),
             notices: Queue::new(),
             wake: Signal::new(),
+            wake_calendar: Signal::new(),
             lost: AtomicU32::new(0),
         }
     }
@@ -83,6 +89,7 @@ impl Storage {
         let (outcomes_in, outcomes) = self.outcomes.split();
         let (notices_in, notices) = self.notices.split();
         let (wake, reader) = self.wake.split();
+        let (wake_calendar, calendar_wakes) = self.wake_calendar.split();
         let lost = &self.lost;
         let sender = |queue| Sender { queue, wake: wake.clone(), lost };
         Ends {
@@ -92,6 +99,8 @@ impl Storage {
             notices: sender(notices_in),
             inbox: Inbox { frames, urgent, outcomes, notices, wake: reader, lost },
             wake,
+            wake_calendar,
+            calendar_wakes,
         }
     }
 }

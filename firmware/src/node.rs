@@ -7,13 +7,17 @@ use boards::clock;
 use cosmic_core::calendar::Slot;
 use cosmic_core::can::{Command, Mailbox, TxNode};
 use cosmic_core::event_half::{EventHalf, HardAccess, Step};
-use cosmic_core::event_layer::{Content, Event, Publication, PublishError};
+use cosmic_core::event_layer::{
+    AnnounceError, Channel, Content, Event, Filter, Policy, Publication, PublishError, SubscribeError,
+    Subscription,
+};
 use cosmic_core::network::hard::{Dispatcher, HrtBuffers};
 use cosmic_core::protocol::Rank;
 use cosmic_core::services::ClockService;
 use cosmic_core::time::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
 use rtic::Mutex;
+use rtic_sync::signal::SignalWriter;
 
 use crate::cluster::{self, plan};
 use crate::inbox::Item;
@@ -52,15 +56,51 @@ pub struct Node {
     non_real_time: NonRealTimeMailbox,
     bus: BusStatus,
     is_off: bool,
+    wake_calendar: SignalWriter<'static, ()>,
 }
 
 impl Node {
-    /// Puts it together.
-    pub fn new(half: Half, soft: SoftMailbox, non_real_time: NonRealTimeMailbox, bus: BusStatus) -> Self {
-        Self { half, soft, non_real_time, bus, is_off: false }
+    /// Puts it together. `wake_calendar` wakes the calendar task.
+    pub fn new(
+        half: Half,
+        soft: SoftMailbox,
+        non_real_time: NonRealTimeMailbox,
+        bus: BusStatus,
+        wake_calendar: SignalWriter<'static, ()>,
+    ) -> Self {
+        Self { half, soft, non_real_time, bus, is_off: false, wake_calendar }
     }
 
-    /// The half itself, to subscribe, fetch events and handle exceptions.
+    /// Announces a channel.
+    ///
+    /// # Errors
+    /// Those of [`EventHalf::announce`].
+    pub fn announce<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Publication<C>, AnnounceError> {
+        let publication = self.half.announce(channel, hard)?;
+        self.wake_calendar.write(());
+        Ok(publication)
+    }
+
+    /// Subscribes to all events of a channel.
+    ///
+    /// # Errors
+    /// Those of [`EventHalf::subscribe`].
+    pub fn subscribe<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        policy: Policy,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Subscription<C>, SubscribeError> {
+        let subscription = self.half.subscribe(channel, Filter::ALL, policy, hard)?;
+        self.wake_calendar.write(());
+        Ok(subscription)
+    }
+
+    /// The half itself, to fetch events and handle exceptions.
     pub fn half(&mut self) -> &mut Half {
         &mut self.half
     }

@@ -8,6 +8,7 @@ use cosmic_core::can::{Command, Mailbox, Priority};
 use cosmic_core::network::hard::Step;
 use rtic::Mutex;
 use rtic_monotonics::Timebase as _;
+use rtic_sync::signal::SignalReader;
 
 use crate::inbox::{Inbox, Item, Sender};
 use crate::node::{Buffers, Calendar, Locked, Node};
@@ -24,6 +25,8 @@ pub struct CalendarParts {
     pub notified: MeasuringPoint<14>,
     /// Towards the event layer.
     pub notices: Sender,
+    /// Wakes the task when slots were attached or detached.
+    pub wakes: SignalReader<'static, ()>,
 }
 
 /// What `CAN1_RX0` owns.
@@ -68,7 +71,8 @@ pub async fn calendar(parts: &mut CalendarParts, mut buffers: impl Mutex<T = Buf
             }
         };
         parts.running.clear();
-        clock::delay_until(next).await;
+        // Either will do: the instant has come, or there is another slot.
+        let _ = Mono::timeout_at(clock::timer(next), parts.wakes.wait()).await;
     }
 }
 

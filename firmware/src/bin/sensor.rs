@@ -14,7 +14,7 @@ mod app {
     use firmware::cluster::plan::{channels, nodes};
     use firmware::cluster::{self, Temperature, WheelSpeed};
     use firmware::inbox::{Inbox, Storage};
-    use firmware::node::{Buffers, Calendar, Node};
+    use firmware::node::{Buffers, Node};
     use firmware::signals;
     use firmware::start::{Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
@@ -96,17 +96,17 @@ mod app {
         // What is published before the others know the time would be lost.
         application::synchronised(node).await;
         clock::delay_until(clock::now() + cluster::SETTLING).await;
+        // Announced shortly before the first event: from then on a slot without one is an error.
+        let next = node.lock(|node| node.before_slot(&cluster::WHEEL_SPEED_SLOT, LEAD, clock::now()));
+        clock::delay_until(next).await;
         let publisher = Publisher::announce(&cluster::WHEEL_SPEED, node, buffers);
-        // The calendar task sees the slot when it wakes next; an event for a slot before that would be
-        // replaced by the next one, unsent.
-        clock::delay_until(clock::now() + Calendar::LONGEST_SLEEP).await;
         let mut sequence = 0;
         loop {
-            let next = node.lock(|node| node.before_slot(&cluster::WHEEL_SPEED_SLOT, LEAD, clock::now()));
-            clock::delay_until(next).await;
             let content = WheelSpeed { sequence, speed: signals::wheel_speed(sequence), valid: true };
             publisher.publish(content, node, buffers, reporter);
             sequence = sequence.wrapping_add(1);
+            let next = node.lock(|node| node.before_slot(&cluster::WHEEL_SPEED_SLOT, LEAD, clock::now()));
+            clock::delay_until(next).await;
         }
     }
 
