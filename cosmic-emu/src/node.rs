@@ -263,7 +263,6 @@ impl Node {
         match vector {
             Ok(handler) if handler & 1 != 0 => {
                 exception::enter(self.cpu.as_mut(), exception, handler, exc_return);
-                self.pace.redirect();
                 self.event = true;
                 self.state = State::Running;
             }
@@ -286,7 +285,6 @@ impl Node {
             self.stop(StopReason::BadExceptionReturn(exc_return));
             return;
         }
-        self.pace.redirect();
         self.event = true;
         if chains {
             self.enter_handler(exc_return, TAIL_CHAIN_CYCLES);

@@ -28,8 +28,6 @@ pub(crate) struct Pace {
     limit: Cell<u64>,
     instructions: Cell<u64>,
     pc: Cell<u32>,
-    /// Where execution goes on if the instruction before is no taken branch; 0 when unknown.
-    next: Cell<u32>,
     /// An interrupt is pending, so a change of the masks matters.
     pending: Cell<bool>,
     probes: RefCell<BTreeSet<u32>>,
@@ -74,11 +72,6 @@ impl Pace {
         self.cycle.set(self.cycle.get().max(cycle));
     }
 
-    /// The next instruction is not where the last one led: no branch is to be charged.
-    pub(crate) fn redirect(&self) {
-        self.next.set(0);
-    }
-
     /// Watch for an instruction.
     pub(crate) fn add_probe(&self, pc: u32) {
         self.probes.borrow_mut().insert(pc);
@@ -94,14 +87,9 @@ impl Pace {
         self.hits.take()
     }
 
-    /// The core reached an instruction: may it be executed? Charges a taken branch.
+    /// The core reached an instruction: may it be executed?
     #[inline]
     pub(crate) fn reach(&self, pc: u32) -> bool {
-        let next = self.next.get();
-        if next != pc && next != 0 {
-            self.cycle.set(self.cycle.get() + REFILL);
-        }
-        self.next.set(0);
         self.pc.set(pc);
         let runs = self.cycle.get() < self.limit.get();
         if runs && self.watching.get() {
@@ -110,21 +98,30 @@ impl Pace {
         runs
     }
 
-    /// The core executes an instruction of `size` bytes that takes `cycles`, or a run of `count` of them.
+    /// The core executes an instruction that takes `cycles`.
     #[inline]
-    pub(crate) fn execute(&self, pc: u32, size: u32, count: u64, cycles: u64) {
-        self.instructions.set(self.instructions.get() + count);
+    pub(crate) fn execute(&self, cycles: u64) {
+        self.instructions.set(self.instructions.get() + 1);
         self.cycle.set(self.cycle.get() + cycles);
-        self.next.set(pc.wrapping_add(size));
     }
 
-    /// The core is at an endless loop that does nothing, with so many instructions and cycles a turn: as
-    /// many turns as fit before the limit pass at once. Is there time left for single instructions?
-    pub(crate) fn spin(&self, instructions: u64, cycles: u64) -> bool {
+    /// The instruction that was executed last was a taken branch.
+    #[inline]
+    pub(crate) fn branch(&self) {
+        self.cycle.set(self.cycle.get() + REFILL);
+    }
+
+    /// The instruction that was begun last is not executed after all. Its cycles have passed.
+    pub(crate) fn take_back(&self) {
+        self.instructions.set(self.instructions.get() - 1);
+    }
+
+    /// The instruction that was begun last is the first of an endless loop that does nothing, with so many
+    /// instructions and cycles a turn: as many turns as would begin before the limit pass at once.
+    pub(crate) fn spin(&self, instructions: u64, cycles: u64) {
         let turns = self.limit.get().saturating_sub(self.cycle.get()) / cycles;
         self.cycle.set(self.cycle.get() + turns * cycles);
         self.instructions.set(self.instructions.get() + turns * instructions);
-        self.cycle.get() < self.limit.get()
     }
 
     /// The core executes an instruction that changes interrupt masks.

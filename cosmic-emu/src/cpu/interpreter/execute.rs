@@ -3,14 +3,15 @@
 use super::arithmetic::{self, add_with_carry, dual, half};
 use super::op::{Accumulate, Alu, Binary, CarryOut, Flags, Long, Op, Operand, Reg, Shift};
 use super::{CONTROL_FPCA, Interpreter, LR, PC, float};
-use crate::cpu::Stop;
+use crate::cpu::{Fault, Stop};
 
 impl Interpreter {
     /// Performs an instruction; `self.next` is where execution goes on. This is the one large function:
     /// a jump table over all operations, each of which is done elsewhere.
     #[inline]
-    pub(super) fn perform(&mut self, op: Op, outside_it: bool) -> Result<(), Stop> {
-        match op {
+    pub(super) fn perform(&mut self, slot: usize, outside_it: bool) -> Result<(), Stop> {
+        // Matched in place: a copy would have to go through memory.
+        match self.decoded[slot].op {
             Op::Alu { op, rd, rn, operand, flags } => self.alu(op, rd, rn, operand, sets(flags, outside_it)),
             Op::Test { op, rn, operand } => self.test(op, rn, operand),
             Op::Load { rt, address, width } => return self.load(rt, address, width),
@@ -84,9 +85,18 @@ impl Interpreter {
             Op::WaitForEvent => return Err(Stop::WaitForEvent),
             Op::SendEvent => return Err(Stop::SendEvent),
             Op::SupervisorCall => return Err(Stop::SupervisorCall),
-            Op::Spin { is_branch: true, .. } => self.next = self.r[PC].wrapping_sub(4),
-            Op::Nop | Op::Spin { .. } | Op::Unknown | Op::Undefined | Op::Breakpoint(_) => {}
-            _ => return self.float(op),
+            Op::Spin { instructions, cycles, is_branch } => {
+                if is_branch {
+                    self.next = self.r[PC].wrapping_sub(4);
+                }
+                if outside_it {
+                    self.pace.spin(instructions.into(), cycles.into());
+                }
+            }
+            Op::Nop => {}
+            Op::Unknown | Op::Undefined => return Err(Stop::Fault(Fault::Undefined)),
+            Op::Breakpoint(immediate) => return Err(Stop::Breakpoint(immediate)),
+            op => return self.float(op),
         }
         Ok(())
     }
@@ -143,7 +153,7 @@ impl Interpreter {
     }
 
     /// The second operand, and the carry out of its shift.
-    #[inline]
+    #[inline(always)]
     fn operand(&self, operand: Operand) -> (u32, bool) {
         let carry = self.flags.c;
         match operand {
@@ -159,7 +169,7 @@ impl Interpreter {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn alu(&mut self, op: Alu, rd: Reg, rn: Reg, operand: Operand, sets_flags: bool) {
         let (m, shifter_carry) = self.operand(operand);
         let n = self.get(rn);

@@ -10,13 +10,14 @@ use crate::memory::Region;
 pub(super) struct Block {
     pub(super) base: u32,
     pub(super) bytes: Vec<u8>,
-    pub(super) writable: bool,
 }
 
 /// All that the core can access.
 pub(super) struct Memory {
-    /// In the order in which they are looked at.
+    /// In the order in which they are looked at: first those that can be written.
     pub(super) blocks: Vec<Block>,
+    /// How many can be written.
+    pub(super) writable: usize,
     pub(super) io_regions: Vec<Region>,
     pub(super) io: Rc<RefCell<dyn Io>>,
 }
@@ -26,12 +27,20 @@ impl Memory {
     #[inline]
     pub(super) fn load(&mut self, address: u32, size: u32) -> Result<u32, Fault> {
         for block in &self.blocks {
-            if let Some(bytes) = slice(block, address, size) {
-                let mut word = [0; 4];
-                word[..size as usize].copy_from_slice(bytes);
-                return Ok(u32::from_le_bytes(word));
+            let offset = address.wrapping_sub(block.base) as usize;
+            let Some(bytes) = block.bytes.get(offset..) else { continue };
+            match (size, bytes) {
+                (4, &[a, b, c, d, ..]) => return Ok(u32::from_le_bytes([a, b, c, d])),
+                (2, &[a, b, ..]) => return Ok(u16::from_le_bytes([a, b]).into()),
+                (1, &[a, ..]) => return Ok(a.into()),
+                _ => {}
             }
         }
+        self.load_io(address, size)
+    }
+
+    #[cold]
+    fn load_io(&mut self, address: u32, size: u32) -> Result<u32, Fault> {
         self.check_io(address, size, Access::Read)?;
         Ok(self.io.borrow_mut().read(address, size as usize))
     }
@@ -39,15 +48,23 @@ impl Memory {
     /// A store of 1, 2 or 4 bytes.
     #[inline]
     pub(super) fn store(&mut self, address: u32, size: u32, value: u32) -> Result<(), Fault> {
-        for block in self.blocks.iter_mut().filter(|block| block.writable) {
+        let [v0, v1, v2, v3] = value.to_le_bytes();
+        for block in &mut self.blocks[..self.writable] {
             let offset = address.wrapping_sub(block.base) as usize;
-            if let Some(end) = offset.checked_add(size as usize)
-                && let Some(bytes) = block.bytes.get_mut(offset..end)
-            {
-                bytes.copy_from_slice(&value.to_le_bytes()[..size as usize]);
-                return Ok(());
+            let Some(bytes) = block.bytes.get_mut(offset..) else { continue };
+            match (size, bytes) {
+                (4, [a, b, c, d, ..]) => (*a, *b, *c, *d) = (v0, v1, v2, v3),
+                (2, [a, b, ..]) => (*a, *b) = (v0, v1),
+                (1, [a, ..]) => *a = v0,
+                _ => continue,
             }
+            return Ok(());
         }
+        self.store_io(address, size, value)
+    }
+
+    #[cold]
+    fn store_io(&mut self, address: u32, size: u32, value: u32) -> Result<(), Fault> {
         self.check_io(address, size, Access::Write)?;
         self.io.borrow_mut().write(address, size as usize, value);
         Ok(())
@@ -68,7 +85,7 @@ impl Memory {
 
     /// Read-only memory is not written.
     pub(super) fn write(&mut self, address: u32, bytes: &[u8]) -> Result<(), NoMemory> {
-        for block in self.blocks.iter_mut().filter(|block| block.writable) {
+        for block in &mut self.blocks[..self.writable] {
             let offset = address.wrapping_sub(block.base) as usize;
             if let Some(end) = offset.checked_add(bytes.len())
                 && let Some(into) = block.bytes.get_mut(offset..end)

@@ -130,19 +130,17 @@ impl Interpreter {
         io: &Rc<RefCell<dyn Io>>,
         pace: &Rc<Pace>,
     ) -> Self {
-        let block = |region: &Region, erased: u8, writable: bool| {
-            let bytes = vec![erased; region.size as usize];
-            Block { base: region.base, bytes, writable }
-        };
-        let mut blocks: Vec<Block> = ram.iter().map(|region| block(region, 0, true)).collect();
+        let block =
+            |region: &Region, erased: u8| Block { base: region.base, bytes: vec![erased; region.size as usize] };
+        let mut blocks: Vec<Block> = ram.iter().map(|region| block(region, 0)).collect();
         for (region, content) in rom {
-            let mut block = block(region, 0xFF, false);
+            let mut block = block(region, 0xFF);
             for (byte, content) in block.bytes.iter_mut().zip(*content) {
                 *byte = *content;
             }
             blocks.push(block);
         }
-        let memory = Memory { blocks, io_regions: io_regions.to_vec(), io: Rc::clone(io) };
+        let memory = Memory { blocks, writable: ram.len(), io_regions: io_regions.to_vec(), io: Rc::clone(io) };
         let (code_base, code_size) = rom.first().map_or((0, 0), |(region, code)| (region.base, code.len()));
         let unknown = Decoded { op: Op::Unknown, size: 0, cycles: 0 };
         Self {
@@ -162,73 +160,74 @@ impl Interpreter {
             exclusive: None,
             memory,
             code_base,
-            decoded: vec![unknown; code_size.div_ceil(2)],
+            decoded: vec![unknown; code_size.div_ceil(2) + 1],
             pace: Rc::clone(pace),
         }
     }
 
+    /// The slot of [`Self::decoded`] that holds the instruction at `pc`. The last slot is for code outside
+    /// of the flash memory, and decoded anew each time.
     #[inline]
-    fn fetch(&mut self, pc: u32) -> Result<Decoded, Fault> {
+    fn fetch(&mut self, pc: u32) -> Result<usize, Fault> {
         let slot = (pc.wrapping_sub(self.code_base) / 2) as usize;
         match self.decoded.get(slot) {
-            Some(decoded) if decoded.op != Op::Unknown => Ok(*decoded),
-            Some(_) => {
-                let decoded = self.decode(pc)?;
-                self.decoded[slot] = decoded;
-                Ok(decoded)
-            }
-            None => self.decode(pc),
+            Some(decoded) if decoded.op != Op::Unknown => Ok(slot),
+            _ => self.decode(pc, slot.min(self.decoded.len() - 1)),
         }
     }
 
-    fn decode(&self, pc: u32) -> Result<Decoded, Fault> {
+    #[cold]
+    fn decode(&mut self, pc: u32, slot: usize) -> Result<usize, Fault> {
         let first = self.memory.fetch(pc).ok_or(Fault::Access { access: Access::Fetch, address: pc })?;
         // Behind the last instruction of a memory there may be nothing.
         let second = self.memory.fetch(pc.wrapping_add(2)).unwrap_or(0);
-        Ok(Decoded::new(first, second))
+        self.decoded[slot] = Decoded::new(first, second);
+        Ok(slot)
     }
 
+    #[inline]
     fn step(&mut self, pc: u32) -> Result<(), Stop> {
-        let decoded = self.fetch(pc)?;
-        let size = u32::from(decoded.size);
-        self.next = pc.wrapping_add(size);
+        let slot = self.fetch(pc)?;
+        let Decoded { size, cycles, .. } = self.decoded[slot];
+        self.next = pc.wrapping_add(size.into());
         self.r[PC] = pc.wrapping_add(4);
-        if self.it == 0 {
-            return self.execute(pc, decoded);
-        }
-        let passes = self.flags.pass(self.it >> 4);
-        if !passes {
-            self.advance_it();
-            self.pace.execute(pc, size, 1, 1);
-            self.pc = self.next;
-            return Ok(());
-        }
-        self.execute(pc, decoded)
-    }
-
-    fn execute(&mut self, pc: u32, decoded: Decoded) -> Result<(), Stop> {
-        match decoded.op {
-            Op::Undefined => return Err(Stop::Fault(Fault::Undefined)),
-            Op::Breakpoint(immediate) => return Err(Stop::Breakpoint(immediate)),
-            Op::Spin { instructions, cycles, .. }
-                if self.it == 0 && !self.pace.spin(instructions.into(), cycles.into()) =>
-            {
-                return Err(Stop::Limit);
-            }
-            _ => {}
-        }
-        self.pace.execute(pc, decoded.size.into(), 1, decoded.cycles.into());
         let outside_it = self.it == 0;
-        let result = self.perform(decoded.op, outside_it);
-        match result {
-            // A fault leaves the PC at the instruction.
-            Err(Stop::Fault(_)) => return result,
-            _ => self.pc = self.next,
+        let passes = outside_it || self.flags.pass(self.it >> 4);
+        if passes {
+            self.pace.execute(cycles.into());
+            if let Err(stop) = self.perform(slot, outside_it) {
+                return Err(self.stop(stop));
+            }
+        } else {
+            self.pace.execute(1);
         }
+        if self.next != pc.wrapping_add(size.into()) {
+            self.pace.branch();
+        }
+        self.pc = self.next;
         if !outside_it {
             self.advance_it();
         }
-        result
+        if slot == self.decoded.len() - 1 {
+            self.decoded[slot].op = Op::Unknown;
+        }
+        Ok(())
+    }
+
+    /// What is left of an instruction at which the core stops.
+    #[cold]
+    fn stop(&mut self, stop: Stop) -> Stop {
+        match stop {
+            // The PC stays at the instruction.
+            Stop::Fault(_) | Stop::Breakpoint(_) => self.pace.take_back(),
+            _ => {
+                self.pc = self.next;
+                if self.it != 0 {
+                    self.advance_it();
+                }
+            }
+        }
+        stop
     }
 
     /// ITAdvance (A7.3.2).
@@ -334,3 +333,6 @@ impl Cpu for Interpreter {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -239,7 +239,8 @@ pub(super) enum Op {
     Unknown,
     Undefined,
     Nop,
-    /// The start of an endless loop that does nothing: instructions and cycles of one turn.
+    /// The first of an endless loop that does nothing, a branch to itself or a NOP before a branch:
+    /// instructions and cycles of one turn. It takes one cycle itself.
     Spin { instructions: u8, cycles: u8, is_branch: bool },
     Alu { op: Alu, rd: Reg, rn: Reg, operand: Operand, flags: Flags },
     /// TST, TEQ, CMN, CMP: only flags.
