@@ -3,61 +3,48 @@
 //! FIFO 0 takes what must be read at once: hard real-time and synchronisation frames. FIFO 1 takes the
 //! rest. Each has an interrupt of its own, so the first can have the higher priority.
 
-use bxcan::filter::Mask32;
+use bxcan::filter::{ListEntry32, Mask32};
 use bxcan::{ExtendedId, Fifo, Rx0, Rx1};
+use cosmic_core::can::filter_banks::{self, FilterBank};
 use cosmic_core::can::{Frame, Id, Payload};
 use stm32f4xx_hal::can::Can1;
 
 /// Frames that a FIFO holds before it loses one.
 pub const FIFO_DEPTH: usize = 3;
 
-/// Which of the two FIFOs.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum RxFifo {
-    /// Hard real-time and synchronisation.
-    Urgent,
-    /// Everything else.
-    Other,
-}
-
-/// Accepts the extended data frames whose identifier agrees with `id` in all bits that `mask` has set.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct AcceptanceFilter {
-    /// Where accepted frames go.
-    pub fifo: RxFifo,
-    /// The bits to agree with.
-    pub id: u32,
-    /// The bits that count.
-    pub mask: u32,
-}
-
 /// More filters than the peripheral has banks.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct TooManyFilters;
 
-/// Replaces all acceptance filters. Reception pauses for the time of the writes.
-///
-/// A frame that several filters accept is stored once, by the first of them.
+/// Writes the filters to banks 0, 1, ... and switches all others off. Reception pauses for that time.
 ///
 /// # Errors
-/// If there are more filters than banks (14); then nothing is changed.
-pub(crate) fn apply_filters(
+/// If there are more than [`BANKS`]; those that have a bank are written then.
+pub(crate) fn apply_filters<'a>(
     can: &mut bxcan::Can<Can1>,
-    filters: &[AcceptanceFilter],
+    filters: impl Iterator<Item = &'a FilterBank>,
 ) -> Result<(), TooManyFilters> {
     let mut banks = can.modify_filters();
-    if filters.len() > usize::from(banks.num_banks()).min(BANKS_OF_CAN1) {
-        return Err(TooManyFilters);
-    }
     banks.clear();
     for (bank, filter) in (0..).zip(filters) {
-        let fifo = match filter.fifo {
-            RxFifo::Urgent => Fifo::Fifo0,
-            RxFifo::Other => Fifo::Fifo1,
+        if bank >= BANKS as u8 {
+            return Err(TooManyFilters);
+        }
+        let fifo = match filter.fifo() {
+            filter_banks::Fifo::Urgent => Fifo::Fifo0,
+            filter_banks::Fifo::Other => Fifo::Fifo1,
         };
-        let mut mask = Mask32::frames_with_ext_id(extended(filter.id), extended(filter.mask));
-        mask.data_frames_only();
-        banks.enable_bank(bank, fifo, mask);
+        match filter {
+            FilterBank::Mask { id, mask, .. } => {
+                let mut mask = Mask32::frames_with_ext_id(extended(*id), extended(*mask));
+                mask.data_frames_only();
+                banks.enable_bank(bank, fifo, mask);
+            }
+            FilterBank::List { ids, .. } => {
+                let entry = |id: &Id| ListEntry32::data_frames_with_id(extended(id.raw()));
+                banks.enable_bank(bank, fifo, ids.each_ref().map(entry));
+            }
+        }
     }
     Ok(())
 }
@@ -143,8 +130,8 @@ fn extended(raw: u32) -> ExtendedId {
     ExtendedId::new(raw & ExtendedId::MAX.as_raw()).unwrap_or(ExtendedId::ZERO)
 }
 
-/// Of the 28 banks that both controllers share, those before the reset value of `CAN2SB` belong to CAN1.
-const BANKS_OF_CAN1: usize = 14;
+/// Filter banks: of the 28 that both controllers share, those before the reset value of `CAN2SB`.
+pub const BANKS: usize = 14;
 
 /// How the controller stands towards the bus (ISO 11898-1, fault confinement).
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

@@ -10,6 +10,7 @@
 
 use bxcan::Interrupts;
 use cosmic_core::can::BitRate;
+use cosmic_core::can::filter_banks::FilterBank;
 use rtic_monotonics::stm32::Priority;
 use stm32f4xx_hal::can::CanExt as _;
 use stm32f4xx_hal::gpio::{GpioExt as _, Output, Pin};
@@ -18,7 +19,7 @@ use stm32f4xx_hal::rcc::{Config, RccExt as _};
 use stm32f4xx_hal::time::Hertz;
 
 use crate::bit_timing::BitTiming;
-use crate::bxcan_rx::{AcceptanceFilter, BusStatus, OtherFrames, RxFrames, UrgentFrames, apply_filters};
+use crate::bxcan_rx::{BusStatus, OtherFrames, RxFrames, UrgentFrames, apply_filters};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxMailboxes, TxOutcomes};
 use crate::clock::Mono;
 
@@ -44,11 +45,11 @@ pub struct Board {
 
 /// What a board is brought up with.
 #[derive(Clone, Copy, Debug)]
-pub struct Settings<'a> {
+pub struct Settings<F> {
     /// The bit rate of the bus; one that 42 MHz can give exactly.
     pub bit_rate: BitRate,
-    /// Which frames to receive, and where; at most 14.
-    pub filters: &'a [AcceptanceFilter],
+    /// Which frames to receive, and where; at most [`BANKS`](crate::bxcan_rx::BANKS).
+    pub filters: F,
 }
 
 /// Why a board cannot be brought up.
@@ -72,9 +73,9 @@ impl Board {
     ///
     /// # Errors
     /// If the settings ask for what the controller cannot do.
-    pub fn new(
+    pub fn new<'a>(
         device: pac::Peripherals,
-        settings: Settings<'_>,
+        settings: Settings<impl Iterator<Item = &'a FilterBank>>,
         timer: Priority,
     ) -> Result<Self, BoardError> {
         let timing = BitTiming::new(APB1, settings.bit_rate).ok_or(BoardError::BitRate)?;

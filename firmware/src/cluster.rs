@@ -7,13 +7,15 @@
 //! | brake | brake force | wheel speed, temperature, suspension |
 //! | diagnostics | suspension, logbook | wheel speed, brake force |
 
-use boards::bxcan_rx::{AcceptanceFilter, RxFifo};
+use boards::bxcan_rx::BANKS;
 use cosmic_core::Subject;
 use cosmic_core::calendar::Slot;
 use cosmic_core::can::Etag;
+use cosmic_core::can::filter_banks::{Fifo, FilterBanks, FilterBanksError, Wanted};
 use cosmic_core::event_layer::{Channel, Content};
 use cosmic_core::time::Duration;
 use cosmic_core::time::sync::SyncConfig;
+use heapless::Vec;
 
 use plan::channels::{brake_force, logbook, suspension, temperature, wheel_speed};
 
@@ -153,26 +155,26 @@ pub const SETTLING: Duration = Duration::from_ticks(3 * SYNC.period.as_ticks());
 /// The slot of the wheel speed.
 pub const WHEEL_SPEED_SLOT: Slot = wheel_speed::SLOT;
 
-/// The acceptance filters of a node that takes everything: hard real-time and synchronisation frames into
-/// the urgent FIFO, all others into the other one.
+/// The acceptance filters of a node that subscribes to these subjects: its channels, and synchronisation.
+/// Frames that do not concern it cost it nothing.
 ///
-/// A synchronisation frame is also accepted by filters of the second kind; the first filter counts.
-pub const FILTERS: [AcceptanceFilter; 10] = {
-    let hard = AcceptanceFilter { fifo: RxFifo::Urgent, id: 0, mask: PRIORITY };
-    let mut filters = [hard; 10];
-    // The etags of sync and follow-up differ in their lowest bit only.
-    let sync = Etag::SYNC.get() as u32;
-    filters[1] =
-        AcceptanceFilter { fifo: RxFifo::Urgent, id: sync, mask: Etag::BOUND_LAST.get() as u32 & !1 };
-    // A priority other than 0 has at least one of its eight bits set.
-    let mut bit = 0;
-    while bit < 8 {
-        let set = 1 << (PRIORITY_SHIFT + bit);
-        filters[2 + bit] = AcceptanceFilter { fifo: RxFifo::Other, id: set, mask: set };
-        bit += 1;
+/// # Errors
+/// If the node wants more than there is room for.
+pub fn filters(subscribes: &[Subject]) -> Result<FilterBanks<BANKS>, FilterBanksError> {
+    let mut wanted: Vec<Wanted, WANTED> = Vec::new();
+    let mut want = |wish| wanted.push(wish).map_err(|_| FilterBanksError::TooManyWanted);
+    want(Wanted::etag(Fifo::Urgent, Etag::SYNC))?;
+    want(Wanted::etag(Fifo::Urgent, Etag::FOLLOW_UP))?;
+    for etag in subscribes.iter().filter_map(|subject| etag_of(*subject)) {
+        if !etag.is_hard() {
+            want(Wanted::etag(Fifo::Other, etag))?;
+        }
+        for slot in plan::SLOTS.iter().filter(|slot| slot.etag == etag) {
+            want(Wanted::hard(etag, slot.publisher))?;
+        }
     }
-    filters
-};
+    FilterBanks::plan::<WANTED>(&wanted)
+}
 
-const PRIORITY_SHIFT: usize = 21;
-const PRIORITY: u32 = 0xFF << PRIORITY_SHIFT;
+/// Wishes of a node for frames.
+const WANTED: usize = 24;

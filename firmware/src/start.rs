@@ -2,6 +2,7 @@
 
 use boards::pac;
 use boards::stm32f4::{Board, Settings};
+use cosmic_core::Subject;
 use cosmic_core::can::TxNode;
 use cosmic_core::protocol::Rank;
 use rtic_monotonics::stm32::Priority;
@@ -33,10 +34,23 @@ pub struct Parts {
     pub reporter: Reporter,
 }
 
-/// Brings up the node `tx_node`, which has this rank in the succession of time masters. For RTIC's `init`; a mistake in the settings ends there, with a log.
-pub fn start(device: pac::Peripherals, tx_node: TxNode, rank: Rank, storage: &'static mut Storage) -> Parts {
+/// Which node to bring up.
+#[derive(Clone, Copy)]
+pub struct Identity {
+    /// Its short id.
+    pub tx_node: TxNode,
+    /// Its rank in the succession of time masters.
+    pub rank: Rank,
+    /// The channels that it subscribes to.
+    pub subscribes: &'static [Subject],
+}
+
+/// Brings up a node. For RTIC's `init`; a mistake in the settings ends there, with a log.
+pub fn start(device: pac::Peripherals, identity: Identity, storage: &'static mut Storage) -> Parts {
     let records = Records::start();
-    let settings = Settings { bit_rate: plan::SEGMENT.bit_rate, filters: &cluster::FILTERS };
+    let Identity { tx_node, rank, subscribes } = identity;
+    let filters = defmt::unwrap!(cluster::filters(subscribes));
+    let settings = Settings { bit_rate: plan::SEGMENT.bit_rate, filters: filters.iter() };
     let board = match Board::new(device, settings, Priority::new(TIMER_PRIORITY)) {
         Ok(board) => board,
         Err(error) => defmt::panic!("the board cannot be brought up: {}", defmt::Debug2Format(&error)),

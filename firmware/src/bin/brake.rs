@@ -14,14 +14,17 @@ mod app {
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::{Buffers, Node};
     use firmware::signals;
-    use firmware::start::{Parts, start};
+    use firmware::start::{Identity, Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
 
     /// For each subscription.
     const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
 
-    /// In the succession of time masters.
-    const RANK: Rank = Rank::new(1).unwrap();
+    const IDENTITY: Identity = Identity {
+        tx_node: nodes::brake::TX_NODE,
+        rank: Rank::new(1).unwrap(),
+        subscribes: nodes::brake::SUBSCRIBES,
+    };
 
     #[shared]
     struct Shared {
@@ -43,7 +46,7 @@ mod app {
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
-        let parts = start(context.device, nodes::brake::TX_NODE, RANK, context.local.storage);
+        let parts = start(context.device, IDENTITY, context.local.storage);
         let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
         let spawned = [
             calendar::spawn(),

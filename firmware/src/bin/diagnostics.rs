@@ -17,7 +17,7 @@ mod app {
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::{Buffers, Node};
     use firmware::signals;
-    use firmware::start::{Parts, start};
+    use firmware::start::{Identity, Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
 
     const SUSPENSION_PERIOD: Duration = channels::suspension::PERIOD;
@@ -29,8 +29,11 @@ mod app {
     /// For each subscription.
     const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
 
-    /// In the succession of time masters.
-    const RANK: Rank = Rank::new(2).unwrap();
+    const IDENTITY: Identity = Identity {
+        tx_node: nodes::diagnostics::TX_NODE,
+        rank: Rank::new(2).unwrap(),
+        subscribes: nodes::diagnostics::SUBSCRIBES,
+    };
 
     #[shared]
     struct Shared {
@@ -52,7 +55,7 @@ mod app {
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
-        let parts = start(context.device, nodes::diagnostics::TX_NODE, RANK, context.local.storage);
+        let parts = start(context.device, IDENTITY, context.local.storage);
         let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
         let spawned = [
             calendar::spawn(),

@@ -16,15 +16,18 @@ mod app {
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::{Buffers, Node};
     use firmware::signals;
-    use firmware::start::{Parts, start};
+    use firmware::start::{Identity, Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
 
     /// A measurement is published this long before its slot.
     const LEAD: Duration = Duration::from_micros(500);
     const TEMPERATURE_PERIOD: Duration = channels::temperature::PERIOD;
 
-    /// In the succession of time masters.
-    const RANK: Rank = Rank::FIRST;
+    const IDENTITY: Identity = Identity {
+        tx_node: nodes::sensor::TX_NODE,
+        rank: Rank::FIRST,
+        subscribes: nodes::sensor::SUBSCRIBES,
+    };
 
     #[shared]
     struct Shared {
@@ -44,7 +47,7 @@ mod app {
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
-        let parts = start(context.device, nodes::sensor::TX_NODE, RANK, context.local.storage);
+        let parts = start(context.device, IDENTITY, context.local.storage);
         let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
         let spawned = [
             calendar::spawn(),

@@ -14,10 +14,16 @@ mod app {
     use boards::bxcan_tx::{SoftMailbox, TxOutcomes};
     use boards::clock;
     use boards::stm32f4::{Board, MeasuringPoint, Settings};
+    use cosmic_core::can::filter_banks::{Fifo, FilterBank};
     use cosmic_core::can::{BitRate, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
     use cosmic_core::time::Duration;
-    use firmware::cluster::FILTERS;
     use rtic_monotonics::stm32::Priority as TimerPriority;
+
+    /// Hard real-time frames into the urgent FIFO, and all others into the other one.
+    const FILTERS: [FilterBank; 2] = [
+        FilterBank::Mask { fifo: Fifo::Urgent, id: 0, mask: 0xFF << 21 },
+        FilterBank::Mask { fifo: Fifo::Other, id: 0, mask: 0 },
+    ];
 
     #[shared]
     struct Shared {
@@ -36,7 +42,7 @@ mod app {
     #[init]
     fn init(context: init::Context) -> (Shared, Local) {
         let _records = firmware::records::Records::start();
-        let settings = Settings { bit_rate: BitRate::MAX, filters: &FILTERS };
+        let settings = Settings { bit_rate: BitRate::MAX, filters: FILTERS.iter() };
         let Ok(board) = Board::new(context.device, settings, TimerPriority::new(5)) else {
             defmt::panic!("the settings ask for what the board cannot do");
         };
