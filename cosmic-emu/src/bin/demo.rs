@@ -18,17 +18,17 @@ use cosmic_emu::demo::run::{self, Plan};
 use cosmic_emu::demo::table::{Style, Tables};
 use cosmic_emu::demo::verdict::Verdict;
 
-/// Run three nodes and a background load on an emulated CAN bus, and judge what each event channel did.
-///
-/// The nodes are the images that are flashed. They start at different instants and their crystals differ.
-/// Into DIR go a picture of the bus (bus.svg) and its log (candump.log, for can-utils).
-///
-/// Exit code 0: every hard real-time event within its fault hypothesis was delivered at its instant, and
-/// every other loss was reported by an exception. 1: not so; it says what. 2: it could not be run.
+/// Run three nodes and a background load on an emulated CAN bus, and judge what each event channel did
 #[derive(Parser, Debug)]
-#[command(name = "demo", bin_name = "cargo xtask demo", max_term_width = 100)]
+#[command(
+    name = "demo",
+    bin_name = "cargo xtask demo",
+    override_usage = "cargo xtask demo [OPTIONS]",
+    max_term_width = 100,
+    after_help = NOTES
+)]
 struct Arguments {
-    /// How long to run, in virtual seconds; the clocks need about half a second to agree
+    /// Virtual seconds to run; the clocks need about half a second to agree
     #[arg(long, value_name = "S", default_value = "5", value_parser = seconds)]
     seconds: Duration,
 
@@ -36,7 +36,7 @@ struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
 
-    /// Load of the bus as a whole; what the nodes do not make is background load
+    /// Load of the bus as a whole, background load included
     #[arg(long, value_name = "PERCENT", default_value = "60", value_parser = percent)]
     load: Share,
 
@@ -44,7 +44,7 @@ struct Arguments {
     #[arg(long, value_name = "RATE", default_value = "0.001", value_parser = chance)]
     errors: Chance,
 
-    /// Destroy N attempts in a row in one hard real-time slot, beyond its fault hypothesis if N is over 1
+    /// Destroy N attempts in a row in one HRT slot; it is made for one
     #[arg(long, value_name = "N", default_value_t = 0)]
     burst: u32,
 
@@ -56,8 +56,8 @@ struct Arguments {
     #[arg(long, value_name = "DIR", default_value = "target/demo")]
     out: PathBuf,
 
-    /// Where the firmware images are; `cargo xtask demo` builds them and says so
-    #[arg(long, value_name = "DIR")]
+    /// Where the firmware images are
+    #[arg(long, value_name = "DIR", help_heading = "Given by cargo xtask")]
     images: PathBuf,
 }
 
@@ -147,6 +147,14 @@ fn chance(text: &str) -> Result<Chance, String> {
     chance.ok_or_else(|| "must be a number from 0 to 1".to_owned())
 }
 
+const NOTES: &str = "\
+The nodes are the images that are flashed. They start at different instants, and their crystals differ.
+Into DIR go a picture of the bus (bus.svg) and its log (candump.log, for can-utils).
+
+Exit code 0: every hard real-time event within its fault hypothesis was delivered at its instant, and
+             every other loss was reported by an exception.
+          1: not so; it says what.
+          2: it could not be run.";
 const NOT_AS_PROMISED: u8 = 1;
 const NOT_RUN: u8 = 2;
 

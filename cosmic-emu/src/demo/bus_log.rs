@@ -1,7 +1,7 @@
 //! What was on the wire: the trace of the bus, boiled down to attempts.
 
 use cosmic_bus::trace::{BusError, TraceEvent, TraceKind};
-use cosmic_bus::{StationId, VirtualInstant, WireFrame};
+use cosmic_bus::{ErrorLevel, StationId, VirtualInstant, WireFrame};
 use cosmic_core::can::{Frame, Id, Priority};
 
 /// One attempt to send a frame.
@@ -72,7 +72,16 @@ pub struct BusLog {
     attempts: Vec<Attempt>,
     contests: Vec<Contest>,
     loads: Vec<Load>,
+    levels: Vec<LevelChange>,
     pending: Vec<Pending>,
+}
+
+/// The error level of a station changed.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+struct LevelChange {
+    at: VirtualInstant,
+    station: StationId,
+    level: ErrorLevel,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -98,6 +107,20 @@ impl BusLog {
     /// Hard and soft real-time frames that were put into mailboxes, in the order of time.
     pub fn loads(&self) -> &[Load] {
         &self.loads
+    }
+
+    /// When a station went bus-off.
+    pub fn bus_offs(&self, station: StationId) -> impl Iterator<Item = VirtualInstant> {
+        let changes = self.levels.iter().filter(move |it| it.station == station);
+        changes.filter(|it| it.level == ErrorLevel::BusOff).map(|it| it.at)
+    }
+
+    /// Was a station bus-off at some time from `from` to `until`?
+    pub fn was_off(&self, station: StationId, from: VirtualInstant, until: VirtualInstant) -> bool {
+        let changes = || self.levels.iter().filter(|it| it.station == station);
+        let before = changes().take_while(|it| it.at <= from).last();
+        let off = |it: &LevelChange| it.level == ErrorLevel::BusOff;
+        before.is_some_and(off) || changes().any(|it| off(it) && it.at > from && it.at <= until)
     }
 
     /// Takes in what the bus has recorded.
@@ -135,8 +158,14 @@ impl BusLog {
                 self.end(error.number, at, Ending::Failed(*error));
                 self.pending.retain(|pending| pending.station != error.station || !pending.withdrawn);
             }
-            TraceKind::Reset { station } => self.pending.retain(|pending| pending.station != *station),
-            TraceKind::Omission { .. } | TraceKind::ErrorState { .. } | TraceKind::Connection { .. } => {}
+            TraceKind::Reset { station } => {
+                self.pending.retain(|pending| pending.station != *station);
+                self.levels.push(LevelChange { at, station: *station, level: ErrorLevel::Active });
+            }
+            TraceKind::ErrorState { station, state } => {
+                self.levels.push(LevelChange { at, station: *station, level: state.level() });
+            }
+            TraceKind::Omission { .. } | TraceKind::Connection { .. } => {}
         }
     }
 
@@ -159,8 +188,20 @@ impl BusLog {
         }
         let winner = self.attempts.len();
         let others = self.pending.iter().filter(|it| (it.station, it.mailbox) != (station, mailbox));
+        let others = others.filter(|it| self.competes(it.station));
         let losers = others.filter_map(|it| real_time(&it.frame)).filter(|frame| is_soft(frame.id));
-        self.contests.extend(losers.map(|loser| Contest { winner, loser }));
+        let contests: Vec<_> = losers.map(|loser| Contest { winner, loser }).collect();
+        self.contests.extend(contests);
+    }
+
+    /// A station that is error passive pauses behind its own attempts (ISO 11898-1, suspend transmission).
+    fn competes(&self, station: StationId) -> bool {
+        let change = self.levels.iter().rev().find(|it| it.station == station);
+        match change.map_or(ErrorLevel::Active, |change| change.level) {
+            ErrorLevel::Active | ErrorLevel::Warning => true,
+            ErrorLevel::Passive => self.attempts.last().is_none_or(|attempt| attempt.station != station),
+            ErrorLevel::BusOff => false,
+        }
     }
 
     fn end(&mut self, number: u64, at: VirtualInstant, ending: Ending) {

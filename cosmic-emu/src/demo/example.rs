@@ -110,7 +110,6 @@ pub static EXAMPLE: LazyLock<Cluster> = LazyLock::new(|| {
 });
 
 /// What `cosmic-plan` has made of the description of the cluster; the images are built from the same file.
-
 pub mod plan {
     include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware/plan/calendar.rs"));
 }

@@ -4,7 +4,7 @@
 //! from the records of the nodes. An event is within its *fault hypothesis* if at most k attempts to send it
 //! were destroyed in its window, k being the omission degree of the slot. Then it must become visible to
 //! each subscriber exactly once, at its delivery instant. Beyond the hypothesis it may be lost, but publisher
-//! and subscribers must be told.
+//! and subscribers must be told. A node that is bus-off is beyond any hypothesis, too.
 //!
 //! Until the clocks of all nodes are synchronised, nodes keep silent in their slots and say so (exception
 //! *clock out of bound*). That is the settling time; slots in it are not judged one by one, but what was
@@ -51,6 +51,8 @@ pub struct Occurrence {
     pub attempts: Vec<usize>,
     /// How many of them were destroyed.
     pub faulted: u32,
+    /// Was the publisher or a subscriber bus-off in it?
+    pub bus_off: bool,
     /// The event that it carried; `None` if nothing was sent.
     pub sequence: Option<u32>,
     /// What became of it.
@@ -70,6 +72,13 @@ pub enum Fate {
     Lost,
     /// Not as promised.
     Violated,
+}
+
+impl Occurrence {
+    /// Was more lost than the slot is made for?
+    pub fn is_beyond_hypothesis(&self) -> bool {
+        self.bus_off || self.faulted > u32::from(self.slot.omission_degree)
+    }
 }
 
 /// All slots of a run.
@@ -181,7 +190,11 @@ impl Judge<'_> {
         let faulted = attempts.iter().filter(|at| log[**at].has_failed()).count() as u32;
         let carried = attempts.first().and_then(|at| log[*at].frame());
         let sequence = carried.and_then(|frame| sequence_of(&frame));
-        let mut occurrence = Occurrence { slot, window, attempts, faulted, sequence, fate: Fate::Settling };
+        let channel = self.journal.cluster.channel(slot.etag);
+        let mut nodes = channel.into_iter().flat_map(|it| it.subscribers.iter()).chain([&slot.publisher]);
+        let bus_off = nodes.any(|node| self.was_off(*node, &window));
+        let fate = Fate::Settling;
+        let mut occurrence = Occurrence { slot, window, attempts, faulted, bus_off, sequence, fate };
         if self.is_judged(slot, &window) {
             occurrence.fate = match sequence {
                 None => self.empty(&occurrence, slots),
@@ -224,6 +237,9 @@ impl Judge<'_> {
             ExceptionKind::OmissionDegreeExceeded,
         ];
         let reason = reasons.into_iter().find(|kind| told(*kind));
+        if reason.is_some() && self.was_off(slot.publisher, window) {
+            return Fate::Lost;
+        }
         slots.violations.push(Violation::NotSent { ready: window.ready, etag: slot.etag, reason });
         Fate::Violated
     }
@@ -285,7 +301,8 @@ impl Judge<'_> {
         let Occurrence { slot, window, faulted, .. } = occurrence;
         let (ready, etag) = (window.ready, slot.etag);
         let told = |kind| self.was_told(subscriber, slot, window, kind);
-        if *faulted <= u32::from(slot.omission_degree) {
+        let off = self.was_off(subscriber, window) || self.was_off(slot.publisher, window);
+        if *faulted <= u32::from(slot.omission_degree) && !off {
             let faulted = *faulted;
             slots.violations.push(Violation::NotDelivered { ready, etag, subscriber, faulted });
         } else if slot.periodic && !told(ExceptionKind::MissedEvent) {
@@ -301,6 +318,11 @@ impl Judge<'_> {
             let (ready, etag, node) = (window.ready, slot.etag, slot.publisher);
             slots.violations.push(Violation::Silence { ready, etag, node, kind });
         }
+    }
+
+    /// Was the node bus-off at some time in the window?
+    fn was_off(&self, node: TxNode, window: &Window) -> bool {
+        self.journal.was_off(node, window.ready, window.delivery)
     }
 
     /// Was the node told of this between the ready instant and half a period after the delivery instant?

@@ -1,6 +1,6 @@
 //! What is left of a run when it is over: all that the judge, the tables and the picture are made of.
 
-use cosmic_bus::{Accounting, VirtualInstant};
+use cosmic_bus::{Accounting, StationId, VirtualInstant};
 use cosmic_core::can::{BitRate, TxNode};
 
 use super::bus_log::BusLog;
@@ -24,6 +24,8 @@ pub struct Journal {
     pub records: Vec<(TxNode, Record)>,
     /// The local clocks.
     pub clocks: Vec<(TxNode, NodeClock)>,
+    /// The stations of the nodes on the bus.
+    pub stations: Vec<(TxNode, StationId)>,
     /// What the background load has sent.
     pub background: BackgroundLog,
     /// Errors in the logs of the nodes, and what they did that the emulator does not know.
@@ -47,6 +49,12 @@ impl Journal {
     /// The local clock of a node.
     pub fn clock(&self, tx_node: TxNode) -> Option<NodeClock> {
         self.clocks.iter().find(|(node, _)| *node == tx_node).map(|(_, clock)| *clock)
+    }
+
+    /// Was a node bus-off at some time from `from` to `until`?
+    pub fn was_off(&self, tx_node: TxNode, from: VirtualInstant, until: VirtualInstant) -> bool {
+        let stations = self.stations.iter().filter(|(node, _)| *node == tx_node);
+        stations.map(|(_, station)| *station).any(|station| self.bus.was_off(station, from, until))
     }
 
     /// Global time, by the sync frames.

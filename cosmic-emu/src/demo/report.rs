@@ -120,7 +120,7 @@ pub struct SlotReport {
     pub delivered: usize,
     /// Slots in which at least one attempt was destroyed.
     pub with_faults: usize,
-    /// Slots in which more attempts were destroyed than the omission degree.
+    /// Slots in which more attempts were destroyed than the omission degree, or a node was bus-off.
     pub beyond_hypothesis: usize,
     /// Slots whose event was lost, beyond the hypothesis and reported.
     pub lost: usize,
@@ -306,7 +306,7 @@ fn slots(journal: &Journal, verdict: &Verdict) -> SlotReport {
         judged: judged().count(),
         delivered: with(Fate::Delivered),
         with_faults: judged().filter(|it| it.faulted > 0).count(),
-        beyond_hypothesis: judged().filter(|it| it.faulted > u32::from(it.slot.omission_degree)).count(),
+        beyond_hypothesis: judged().filter(|it| it.is_beyond_hypothesis()).count(),
         lost: with(Fate::Lost),
         unused: with(Fate::Unused),
         deviation_us: verdict.slots.deviation.range(),

@@ -276,6 +276,7 @@ impl<W: io::Write> Run<W> {
             accounting: self.cluster.bus().accounting().clone(),
             records: self.records.clone(),
             clocks: self.clocks()?,
+            stations: self.nodes.iter().map(|node| (node.tx_node, self.cluster.station(node.id))).collect(),
             background: self.background.borrow().log().clone(),
             errors: self.errors.clone(),
             end,

@@ -149,7 +149,7 @@ impl Tables<'_> {
         let slots = &report.slots;
         let line = format!(
             "HRT slots: {} judged, {} delivered to all subscribers, {} unused, {} lost; with destroyed attempts: \
-             {}, beyond the omission degree: {}.",
+             {}, beyond the fault hypothesis: {}.",
             slots.judged,
             slots.delivered,
             slots.unused,

@@ -103,6 +103,13 @@ pub enum Violation {
         /// How many.
         count: u64,
     },
+    /// A node was bus-off and was not told.
+    BusOffUntold {
+        /// Which.
+        node: TxNode,
+        /// Since when.
+        at: VirtualInstant,
+    },
     /// A node logged an error.
     Logged(LoggedError),
     /// Frames or records tell of events that nobody published.
@@ -178,6 +185,7 @@ impl Verdict {
         let other = terms.terms().iter().find(|term| term.calendar_digest != digest);
         violations.extend(other.map(|term| Violation::OtherCalendar { digest: term.calendar_digest }));
         violations.extend(order.inversions.iter().map(|inversion| Violation::OutOfOrder(*inversion)));
+        violations.extend(untold_bus_offs(journal, &ledger));
         violations.extend(journal.errors.iter().cloned().map(Violation::Logged));
         if ledger.unknown_events > 0 {
             violations.push(Violation::Invented { count: ledger.unknown_events });
@@ -191,6 +199,24 @@ impl Verdict {
     pub fn is_passed(&self) -> bool {
         self.violations.is_empty()
     }
+}
+
+/// Bus-offs of nodes without an exception soon after.
+fn untold_bus_offs(journal: &Journal, ledger: &Ledger) -> Vec<Violation> {
+    let mut violations = Vec::new();
+    for (node, station) in &journal.stations {
+        for at in journal.bus.bus_offs(*station).filter(|at| *at + NOTIFIED < journal.end) {
+            let told = ledger.told.iter().any(|told| {
+                (told.node, told.kind) == (*node, ExceptionKind::BusOff)
+                    && told.at >= at
+                    && told.at <= at + NOTIFIED
+            });
+            if !told {
+                violations.push(Violation::BusOffUntold { node: *node, at });
+            }
+        }
+    }
+    violations
 }
 
 /// Compares what was lost with what was reported.
@@ -313,7 +339,11 @@ impl Books<'_> {
         let recent = (-Span::from(NOTIFIED)).after(self.journal.end);
         for node in &channel.subscribers {
             let sent = account.events.values().filter(|life| life.sent_at.is_some_and(|at| at < recent));
-            let lost = sent.filter(|life| life.deliveries_to(*node).next().is_none()).count();
+            // That a node was bus-off is reported as such.
+            let heard = |life: &&Life| {
+                life.sent_at.is_none_or(|at| !self.journal.was_off(*node, life.published_at, at))
+            };
+            let lost = sent.filter(heard).filter(|life| life.deliveries_to(*node).next().is_none()).count();
             let told = |kind| self.ledger.count(*node, channel.etag, kind);
             let reported = told(ExceptionKind::QueueFull) + told(ExceptionKind::Malformed);
             if lost > reported {
@@ -373,6 +403,9 @@ impl Violation {
                 name(&inversion.loser)
             ),
             Self::RecordsLost { etag, count } => format!("{}: {count} records are missing", channel(etag)),
+            Self::BusOffUntold { node, at } => {
+                format!("{} was bus-off from {} on and was not told", name(node), milliseconds(*at))
+            }
             Self::Logged(error) => {
                 format!("at {}: {} logged: {}", milliseconds(error.at), name(&error.node), error.text)
             }

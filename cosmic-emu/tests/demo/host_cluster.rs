@@ -148,12 +148,13 @@ impl Run {
             (vec![(force, ms(10))], -35_000, 3),
             (vec![(suspension, ms(1)), (logbook, ms(4))], 20_000, 7),
         ];
-        let mut clocks = Vec::new();
+        let (mut clocks, mut stations) = (Vec::new(), Vec::new());
         let mut starts = Vec::new();
         for (node, (publishes, drift, start)) in EXAMPLE.nodes.iter().zip(nodes) {
             let station = add(&mut cluster, node, publishes, drift, &records);
             let at = VirtualInstant::from_ticks(start * 1_000_000);
             starts.push((at, station));
+            stations.push((node.tx_node, station));
             let second = 1_000_000_000 + i64::from(drift);
             let later = (Instant::EPOCH.offset_by(second), at + ms(1_000));
             clocks.push((node.tx_node, NodeClock::through((Instant::EPOCH, at), later).unwrap()));
@@ -171,6 +172,7 @@ impl Run {
             accounting: cluster.bus().accounting().clone(),
             records: records.take(),
             clocks,
+            stations,
             background: BackgroundLog::default(),
             errors: Vec::new(),
             end: self.until,
