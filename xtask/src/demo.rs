@@ -1,6 +1,7 @@
 //! Runs the firmware on an emulated cluster.
 
-use std::process::ExitCode;
+use std::env::consts::EXE_SUFFIX;
+use std::process::{Command, ExitCode};
 
 use anyhow::{Context as _, Result};
 use clap::Args;
@@ -32,8 +33,10 @@ pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
     let mut program = workspace.cargo();
     program.args(["build", "--release", "--package", PACKAGE, "--bin", "demo"]);
     step("building the demo", || run::run(&mut program))?;
-    let mut demo = workspace.cargo();
-    demo.args(["run", "--quiet", "--release", "--package", PACKAGE, "--bin", "demo", "--"]);
+    // Not by `cargo run`, which would move it to the root of the repository: the files that it is to
+    // write are named from where the user is.
+    let program = workspace.target_dir().join("release").join(format!("demo{EXE_SUFFIX}"));
+    let mut demo = Command::new(program);
     demo.arg("--images").arg(directory).args(arguments);
     let status = run::status(&mut demo)?;
     // Ended by a signal, it has no code.

@@ -55,7 +55,8 @@ impl Baseline {
                 ("RAM of the core", size.core_ram, accepted.core_ram),
             ];
             for (what, now, before) in measures {
-                if now * 100 > before * (100 + self.tolerance_percent) {
+                let more = (before * self.tolerance_percent / 100).max(SMALL);
+                if now > before + more {
                     complaints.push(format!("{name}: {what} grew from {before} to {now} bytes"));
                 }
             }
@@ -67,6 +68,9 @@ impl Baseline {
 }
 
 const TOLERANCE_PERCENT: u64 = 10;
+
+/// Bytes that any number may grow by: a tenth of almost nothing is nothing.
+const SMALL: u64 = 256;
 
 #[cfg(test)]
 mod tests {
@@ -85,6 +89,13 @@ mod tests {
         assert!(baseline.complaints(&sizes("sensor", 1)).is_empty());
         let complaints = baseline.complaints(&sizes("sensor", 11_001));
         assert_eq!(complaints, ["sensor: flash grew from 10000 to 11001 bytes"]);
+    }
+
+    #[test]
+    fn small_numbers_may_grow_by_more() {
+        let baseline = Baseline::of(&sizes("smoke", 100));
+        assert!(baseline.complaints(&sizes("smoke", 356)).is_empty());
+        assert_eq!(baseline.complaints(&sizes("smoke", 357)).len(), 1);
     }
 
     #[test]
