@@ -94,13 +94,15 @@ fn demonstrate(arguments: &Arguments) -> Result<bool, Box<dyn core::error::Error
         serde_json::to_writer_pretty(&mut *json, &report)?;
         writeln!(json)?;
     }
+    let mut places = vec![("picture", image.finish()?), ("log of the bus", log.finish()?)];
+    if let Some(json) = json {
+        places.push(("report", json.finish()?));
+    }
     let style = if io::stdout().is_terminal() { Style::Colours } else { Style::Plain };
     let mut out = io::stdout().lock();
     write!(out, "{}", Tables { report: &report, style })?;
-    for (what, file) in [("picture", Some(image)), ("log of the bus", Some(log)), ("report", json)] {
-        if let Some(file) = file {
-            writeln!(out, "{what}: {}", file.finish()?.display())?;
-        }
+    for (what, place) in places {
+        writeln!(out, "{what}: {}", place.display())?;
     }
     Ok(report.passed)
 }

@@ -139,3 +139,86 @@ fn belong_together(sync: (TxNode, SyncSequence), follow_up: (TxNode, SyncSequenc
 fn as_global(local: Instant) -> GlobalInstant {
     GlobalInstant::from_epoch(local.since_epoch())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cosmic_bus::{Bus, FaultModel, StationId, WireFrame};
+    use cosmic_core::can::{BitRate, Frame};
+    use cosmic_core::protocol::Rank;
+    use cosmic_core::time::Duration;
+
+    const MASTER: TxNode = TxNode::new(1).unwrap();
+
+    fn local(nanoseconds: u64) -> Instant {
+        Instant::from_epoch(Duration::from_ticks(nanoseconds))
+    }
+
+    fn true_at(nanoseconds: u64) -> VirtualInstant {
+        VirtualInstant::from_ticks(nanoseconds)
+    }
+
+    /// Switched on at 5 ms, 100 ppm fast.
+    fn clock() -> NodeClock {
+        NodeClock::through((local(0), true_at(5_000_000)), (local(1_000_100_000), true_at(1_005_000_000)))
+            .unwrap()
+    }
+
+    #[test]
+    fn a_clock_is_a_straight_line_both_ways() {
+        let clock = clock();
+        assert_eq!(clock.local(true_at(105_000_000)), local(100_010_000));
+        assert_eq!(clock.instant(local(100_010_000)), true_at(105_000_000));
+        assert_eq!(clock.instant(local(0)), true_at(5_000_000));
+        assert_eq!(NodeClock::through((local(5), true_at(1)), (local(5), true_at(9))), None);
+        assert_eq!(NodeClock::through((local(5), true_at(1)), (local(4), true_at(9))), None);
+    }
+
+    fn station() -> StationId {
+        Bus::new(BitRate::MAX, FaultModel::none()).attach("master")
+    }
+
+    fn sent(number: u64, frame: Frame, end: u64) -> Attempt {
+        Attempt {
+            number,
+            station: station(),
+            wire_frame: WireFrame::from(frame),
+            attempt: 1,
+            start: true_at(end - 130_000),
+            end: true_at(end),
+            ending: Ending::Sent,
+        }
+    }
+
+    /// A sync frame that ends at `end`, and a follow-up that says that the master's clock was read `late`.
+    fn pair(number: u64, end: u64, late: u64) -> [Attempt; 2] {
+        let sequence = SyncSequence::new(number as u8);
+        let (accuracy, calendar_digest) = (Duration::from_ticks(0), 7);
+        let message =
+            SyncMessage { sequence, rank: Rank::FIRST, predecessor: MASTER, accuracy, calendar_digest };
+        let sent_at = as_global(clock().local(true_at(end))) + Duration::from_ticks(late);
+        let follow_up = FollowUp { sequence, sent_at };
+        [sent(number, message.encode(MASTER), end), sent(number + 1, follow_up.encode(MASTER), end + 300_000)]
+    }
+
+    #[test]
+    fn global_time_is_the_masters_as_it_was_read_at_best() {
+        let attempts = [pair(0, 50_000_000, 3_000), pair(2, 75_000_000, 1_200)].concat();
+        let timeline = GlobalTimeline::of(&attempts, |node| (node == MASTER).then(clock));
+        let [term] = timeline.terms() else { panic!("{timeline:?}") };
+        assert_eq!((term.master, term.calendar_digest, term.from), (MASTER, 7, true_at(50_000_000)));
+        assert_eq!(timeline.global(true_at(49_999_999)), None);
+        let global = timeline.global(true_at(105_000_000)).unwrap();
+        assert_eq!(global.since_epoch().as_ticks(), 100_010_000 + 1_200);
+        let back = timeline.instant(global).unwrap();
+        assert!(back.as_ticks().abs_diff(105_000_000) <= 1, "{back}");
+    }
+
+    #[test]
+    fn a_follow_up_of_another_sync_frame_says_nothing() {
+        let [sync, _] = pair(0, 50_000_000, 0);
+        let [_, other] = pair(2, 75_000_000, 0);
+        let timeline = GlobalTimeline::of(&[sync, other], |_| Some(clock()));
+        assert_eq!(timeline.terms(), []);
+    }
+}

@@ -2,8 +2,8 @@
 //!
 //! Spans are in microseconds of true (virtual) time.
 
-use cosmic_bus::TrafficClass;
 use cosmic_bus::trace::{BusError, Origin};
+use cosmic_bus::{TrafficClass, VirtualInstant};
 use cosmic_core::can::TxNode;
 use cosmic_core::event_layer::ExceptionKind;
 use serde::Serialize;
@@ -62,7 +62,9 @@ pub struct Report {
 pub struct Settling {
     /// From when on all nodes rely on their clocks, from the start of the run; `None` if that was never.
     pub until_us: Option<Span>,
-    /// Exceptions *clock out of bound* until then.
+    /// The ready instant of the first slot that is judged, from the start of the run.
+    pub judged_from_us: Option<Span>,
+    /// Exceptions *clock out of bound* before that.
     pub exceptions: usize,
 }
 
@@ -216,7 +218,7 @@ pub struct ExceptionReport {
 impl Report {
     /// The numbers of a run and its verdict.
     pub fn of(settings: Settings, journal: &Journal, verdict: &Verdict) -> Self {
-        let start = cosmic_bus::VirtualInstant::from_ticks(0);
+        let start = VirtualInstant::from_ticks(0);
         let accounts = verdict.ledger.channels.iter().zip(&verdict.tallies);
         Self {
             settings,
@@ -224,6 +226,7 @@ impl Report {
             violations: verdict.violations.iter().map(|it| it.describe(journal.cluster)).collect(),
             settling: Settling {
                 until_us: verdict.slots.settled_at.map(|at| Span::between(start, at)),
+                judged_from_us: judged_from(verdict).map(|at| Span::between(start, at)),
                 exceptions: verdict.slots.settling_exceptions,
             },
             channels: accounts
@@ -299,6 +302,12 @@ fn subscriber(
     }
 }
 
+/// The ready instant of the first slot that is judged.
+fn judged_from(verdict: &Verdict) -> Option<VirtualInstant> {
+    let first = verdict.slots.occurrences.iter().find(|it| it.fate != Fate::Settling)?;
+    Some(first.window.ready)
+}
+
 fn slots(journal: &Journal, verdict: &Verdict) -> SlotReport {
     let judged = || verdict.slots.occurrences.iter().filter(|it| it.fate != Fate::Settling);
     let with = |fate| judged().filter(|it| it.fate == fate).count();
@@ -355,8 +364,7 @@ fn background(journal: &Journal) -> BackgroundReport {
 fn exceptions(journal: &Journal, verdict: &Verdict) -> Vec<ExceptionReport> {
     let channels = journal.cluster.channels.iter().map(Some).chain([None]);
     let places = channels.flat_map(|channel| journal.cluster.nodes.iter().map(move |node| (channel, node)));
-    let first = verdict.slots.occurrences.iter().find(|it| it.fate != Fate::Settling);
-    let started = first.map(|occurrence| occurrence.window.ready);
+    let started = judged_from(verdict);
     let mut reports = Vec::new();
     for (channel, node) in places {
         for kind in EXCEPTIONS {

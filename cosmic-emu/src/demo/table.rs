@@ -199,17 +199,16 @@ impl Tables<'_> {
 
     fn settling(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let settling = &self.report.settling;
-        let told = format!("exceptions \"clock out of bound\": {}", settling.exceptions);
-        match settling.until_us {
-            Some(until) => {
-                let seconds = until.as_micros() / 1e6;
-                wrap(
-                    f,
-                    &format!("Clocks synchronised after {seconds:.3} s; until then HRT kept silent; {told}."),
-                )
-            }
-            None => wrap(f, &format!("Clocks not synchronised; HRT kept silent; {told}.")),
-        }
+        let from = match settling.judged_from_us {
+            Some(from) => format!("are judged from {:.3} s on", from.as_micros() / 1e6),
+            None => "could not be judged".to_owned(),
+        };
+        let line = format!(
+            "HRT slots {from}, when clocks are synchronised and something is published; before, nodes keep silent \
+             (exceptions \"clock out of bound\": {}).",
+            settling.exceptions
+        );
+        wrap(f, &line)
     }
 
     fn paint(&self, colour: Colour, text: &str) -> String {

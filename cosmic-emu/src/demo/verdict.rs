@@ -5,7 +5,7 @@ use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 
 use super::example::{Channel, Class, Cluster};
-use super::hard::{self, Slots};
+use super::hard::{self, Fate, Slots};
 use super::journal::{Journal, LoggedError};
 use super::ledger::{Account, Ledger, Life};
 use super::order::{self, Order};
@@ -14,8 +14,8 @@ use super::span::Span;
 /// Something that was not as promised.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub enum Violation {
-    /// The clocks were not synchronised before the run ended.
-    NeverSettled,
+    /// No hard real-time slot could be judged before the run ended.
+    NothingJudged,
     /// The images carry another calendar than the judge.
     OtherCalendar {
         /// The digest of the images' calendar.
@@ -177,8 +177,8 @@ impl Verdict {
         let slots = hard::judge(journal, &ledger);
         let order = order::judge(journal, &ledger);
         let mut violations = slots.violations.clone();
-        if slots.settled_at.is_none() {
-            violations.push(Violation::NeverSettled);
+        if slots.occurrences.iter().all(|it| it.fate == Fate::Settling) {
+            violations.push(Violation::NothingJudged);
         }
         let digest = journal.cluster.calendar.digest();
         let terms = journal.timeline();
@@ -362,9 +362,11 @@ impl Violation {
         let slot =
             |etag: &Etag, ready: &VirtualInstant| format!("{} at {}", channel(etag), milliseconds(*ready));
         match self {
-            Self::NeverSettled => "the clocks were not synchronised before the end: let it run longer \
-                                   (--seconds)"
-                .into(),
+            Self::NothingJudged => {
+                "no HRT slot before the end in which clocks were synchronised and something \
+                                    was published: let it run longer (--seconds)"
+                    .into()
+            }
             Self::OtherCalendar { digest } => {
                 format!("the images carry another calendar ({digest:08X}) than the demo: build both again")
             }

@@ -119,6 +119,9 @@ fn declared(channel: &example::Channel) -> Channel<Content> {
     }
 }
 
+/// What happens on the bus, and when.
+pub(crate) type Meddling = (VirtualInstant, fn(&mut Bus));
+
 /// What the run is to be like.
 pub(crate) struct Run {
     pub(crate) faults: FaultModel,
@@ -126,7 +129,7 @@ pub(crate) struct Run {
     /// Frames of a foreign station, so many microseconds apart; 0 for none.
     pub(crate) load_interval: u64,
     /// What happens on the bus at these instants.
-    pub(crate) meddle: Vec<(VirtualInstant, fn(&mut Bus))>,
+    pub(crate) meddle: Vec<Meddling>,
 }
 
 impl Run {
@@ -216,7 +219,7 @@ fn drive(
     mut starts: Vec<(VirtualInstant, StationId)>,
     foreign: StationId,
     load_interval: u64,
-    mut meddle: Vec<(VirtualInstant, fn(&mut Bus))>,
+    mut meddle: Vec<Meddling>,
     until: VirtualInstant,
 ) {
     let step = Duration::from_micros(if load_interval == 0 { 1_000 } else { load_interval });

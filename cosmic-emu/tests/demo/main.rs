@@ -3,19 +3,23 @@
 
 mod host_cluster;
 
-use cosmic_bus::{BitPosition, Bus, Chance, Fault, FaultModel, Filter, Rule, VirtualInstant};
-use cosmic_core::can::{Etag, Id, Priority, TxNode};
+use cosmic_bus::trace::{TraceEvent, TraceKind};
+use cosmic_bus::{BitPosition, Bus, Chance, Fault, FaultModel, Filter, Rule, VirtualInstant, WireFrame};
+use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
-use cosmic_emu::demo::example::EXAMPLE;
+use cosmic_core::time::{Duration, Instant};
+use cosmic_emu::demo::bus_log::BusLog;
+use cosmic_emu::demo::clock::NodeClock;
+use cosmic_emu::demo::example::{Channel, EXAMPLE};
 use cosmic_emu::demo::hard::Fate;
 use cosmic_emu::demo::journal::Journal;
 use cosmic_emu::demo::picture;
-use cosmic_emu::demo::record::RecordKind;
+use cosmic_emu::demo::record::{Record, RecordKind};
 use cosmic_emu::demo::report::{Report, Settings};
 use cosmic_emu::demo::table::{Style, Tables, WIDTH};
 use cosmic_emu::demo::verdict::{Loss, Verdict, Violation};
 use embedded_can::ExtendedId;
-use host_cluster::Run;
+use host_cluster::{Meddling, Run};
 
 const SETTINGS: Settings = Settings { seconds: 1.0, seed: 1, load_percent: 0.0, error_rate: 0.0, burst: 0 };
 
@@ -79,7 +83,7 @@ fn faults_within_the_omission_degree_change_no_delivery_instant() {
 
 #[test]
 fn a_loss_beyond_the_omission_degree_is_lost_and_reported() {
-    let meddle: Vec<(_, fn(&mut Bus))> = vec![(at_ms(700), |bus| burst(bus, 6))];
+    let meddle: Vec<Meddling> = vec![(at_ms(700), |bus| burst(bus, 6))];
     let journal = Run { meddle, ..Run::quiet(1_000) }.journal();
     let verdict = Verdict::of(&journal);
     let text = summary(&journal, &verdict);
@@ -94,7 +98,7 @@ fn a_loss_beyond_the_omission_degree_is_lost_and_reported() {
 
 /// Removes records of a passing run; the judge must miss them.
 fn without(keep: impl Fn(&TxNode, &RecordKind, Option<Etag>) -> bool) -> Verdict {
-    let meddle: Vec<(_, fn(&mut Bus))> = vec![(at_ms(700), |bus| burst(bus, 6))];
+    let meddle: Vec<Meddling> = vec![(at_ms(700), |bus| burst(bus, 6))];
     let mut journal = Run { meddle, ..Run::quiet(1_000) }.journal();
     assert!(Verdict::of(&journal).is_passed());
     journal.records.retain(|(node, record)| keep(node, &record.kind, record.etag));
@@ -183,7 +187,7 @@ fn a_delivery_off_its_instant_is_found() {
 #[test]
 fn a_run_that_ends_before_the_clocks_agree_does_not_pass() {
     let verdict = Verdict::of(&Run::quiet(250).journal());
-    assert!(verdict.violations.contains(&Violation::NeverSettled));
+    assert!(verdict.violations.contains(&Violation::NothingJudged));
 }
 
 #[test]
@@ -212,4 +216,53 @@ fn the_picture_shows_the_slot_that_was_hit() {
     if let Some(path) = std::env::var_os("DEMO_PICTURE") {
         std::fs::write(path, &picture).unwrap();
     }
+}
+
+/// Two soft events wait; the one that is sent is due later than the other, by this span.
+fn contest(other_earlier: Duration) -> Verdict {
+    let mut journal = Run::quiet(20).journal();
+    let (force, suspension) = (&EXAMPLE.channels[2], &EXAMPLE.channels[3]);
+    // The deadlines are 4 ms and 2 ms after publication.
+    let late = Instant::from_epoch(Duration::from_millis(10) - other_earlier);
+    let early = Instant::from_epoch(Duration::from_millis(8));
+    let published = |channel: &Channel, at| {
+        let kind = RecordKind::Published { sequence: 0 };
+        (channel.publisher, Record { etag: Some(channel.etag), at, kind })
+    };
+    journal.records = vec![published(force, early), published(suspension, late)];
+    // Local time is true time.
+    let zero = (Instant::EPOCH, at_ms(0));
+    let second = (Instant::from_epoch(Duration::from_secs(1)), at_ms(1_000));
+    let clock = NodeClock::through(zero, second).unwrap();
+    journal.clocks = EXAMPLE.nodes.iter().map(|node| (node.tx_node, clock)).collect();
+    let stations: Vec<_> = journal.stations.iter().map(|(_, station)| *station).collect();
+    let frame = |channel: &Channel, priority| {
+        let id = Id::new(Priority::new(priority), channel.publisher, channel.etag);
+        WireFrame::from(Frame::new(id, Payload::full([0; 8])))
+    };
+    let (winner, loser) = (frame(force, 20), frame(suspension, 21));
+    let at = at_ms(10);
+    let load = |station, frame| TraceEvent { at, kind: TraceKind::Load { station, mailbox: 1, frame } };
+    let start = TraceKind::FrameStart {
+        number: 0,
+        station: stations[1],
+        mailbox: 1,
+        frame: winner,
+        attempt: 1,
+        contenders: 2,
+    };
+    journal.bus = BusLog::default();
+    for event in [load(stations[1], winner), load(stations[2], loser), TraceEvent { at, kind: start }] {
+        journal.bus.take(&event);
+    }
+    Verdict::of(&journal)
+}
+
+#[test]
+fn a_soft_event_that_overtakes_a_more_urgent_one_is_found() {
+    let order = contest(Duration::from_micros(320)).order;
+    assert_eq!((order.contests, order.inversions.len()), (1, 0), "{order:?}");
+    let order = contest(Duration::from_micros(330)).order;
+    assert_eq!((order.contests, order.inversions.len()), (1, 1), "{order:?}");
+    assert_eq!(order.inversions[0].by.as_nanos(), 330_000);
 }
