@@ -363,7 +363,9 @@ impl<
         hard: &mut impl HardAccess<SLOTS>,
     ) -> Option<Command> {
         let submitted = match request {
-            Request::SendUrgent(frame) => self.etch.submit_urgent(now, SERVICES, frame),
+            Request::SendUrgent(frame, expires_at) => {
+                self.etch.submit_urgent(now, SERVICES, frame, expires_at)
+            }
             Request::Send(frame) => {
                 let forever = Instant::FAR_FUTURE;
                 let outgoing = Outgoing { tag: SERVICES, frame, deadline: forever, expires_at: forever };
@@ -555,6 +557,10 @@ impl<
     }
 
     fn raise_soft(&mut self, exception: &soft::Exception, at: Instant) {
+        if exception.tag == SERVICES {
+            // The services count themselves what they could not send.
+            return;
+        }
         let kind = match exception.kind {
             soft::ExceptionKind::MissedDeadline => ExceptionKind::MissedDeadline,
             soft::ExceptionKind::Expired => ExceptionKind::ValidityExpired,

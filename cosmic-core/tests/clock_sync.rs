@@ -114,6 +114,52 @@ fn a_single_lie_is_rejected_and_a_lasting_one_believed_in_the_end() {
     assert_eq!(cluster.synchronised(), 4);
 }
 
+/// Two clusters in which a lone master kept its sync frames in the mailbox until it was master anew, and
+/// the time-stamp of an old one passed for that of a new one with the same number.
+#[test]
+fn frames_that_are_sent_much_too_late_do_not_mislead() {
+    let first = Environment {
+        period: PERIOD / 5,
+        drift: 1.7297072741612014e-5,
+        wander: 0.0,
+        loss: 0.28616760449794015,
+    };
+    let faults = [(1, 2745), (1, 153), (0, 2641), (0, 2969), (1, 2392), (1, 698)];
+    run_late_frames(7032979470150637282, first, &faults);
+    let second =
+        Environment { period: PERIOD, drift: 1.9756731322564455e-6, wander: 0.0, loss: 0.35544112771162034 };
+    let faults = [
+        (1, 1809),
+        (1, 2695),
+        (0, 892),
+        (1, 1351),
+        (1, 2515),
+        (0, 936),
+        (0, 1619),
+        (0, 2200),
+        (0, 1343),
+        (0, 677),
+    ];
+    run_late_frames(11909458339608749306, second, &faults);
+}
+
+fn run_late_frames(seed: u64, environment: Environment, faults: &[(usize, u64)]) {
+    let mut cluster = Cluster::new(seed, 2, environment);
+    cluster.frames_expire = false;
+    run_faults(&mut cluster, faults);
+}
+
+/// Starts or crashes a node, then runs for so many hundredths of a period.
+fn run_faults(cluster: &mut Cluster, faults: &[(usize, u64)]) {
+    let period = cluster.environment.period;
+    cluster.run_until(20 * period);
+    for &(node, percent) in faults {
+        let node = node % cluster.nodes.len();
+        cluster.set_up(node, !cluster.nodes[node].up);
+        cluster.run_for(period * percent / 100);
+    }
+}
+
 fn is_implausible(event: &ClockEvent) -> bool {
     matches!(event, ClockEvent::Implausible { .. })
 }
@@ -133,12 +179,7 @@ proptest! {
         period in prop_oneof![Just(PERIOD / 5), Just(PERIOD), Just(10 * PERIOD)],
     ) {
         let mut cluster = Cluster::new(seed, nodes, Environment { period, drift, wander, loss });
-        cluster.run_until(20 * period);
-        for (node, percent) in faults {
-            let up = cluster.nodes[node % nodes].up;
-            cluster.set_up(node % nodes, !up);
-            cluster.run_for(period * percent / 100);
-        }
+        run_faults(&mut cluster, &faults);
     }
 
     /// Whatever happened, a quiet cluster agrees in the end.

@@ -173,10 +173,10 @@ fn the_services_have_places_of_their_own() {
     let sync = soft(0, at(0), at(0)).frame;
     for _ in 0..RESERVED {
         assert!(etch.has_room_for_services());
-        assert_eq!(etch.submit_urgent(at(1), Tag::SERVICES, sync), Ok(None));
+        assert_eq!(etch.submit_urgent(at(1), Tag::SERVICES, sync, at(99_000)), Ok(None));
     }
     assert!(!etch.has_room_for_services());
-    assert_eq!(etch.submit_urgent(at(1), Tag::SERVICES, sync), Err(Full));
+    assert_eq!(etch.submit_urgent(at(1), Tag::SERVICES, sync, at(99_000)), Err(Full));
     // They go before everything else.
     assert_eq!(etch.poll(at(1)), Step::Command(Command::Withdraw(Mailbox::Soft)));
     etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(2));

@@ -82,7 +82,7 @@ impl Services for ClockService {
 
     fn poll(&mut self, now: Instant, _: &NodeView) -> Option<Request> {
         if let Some(frame) = self.sync.poll(now) {
-            return Some(Request::SendUrgent(frame));
+            return Some(Request::SendUrgent(frame, now + self.sync.frame_lifetime()));
         }
         while let Some(event) = self.sync.poll_event() {
             self.last_event = Some(event);

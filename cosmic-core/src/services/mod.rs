@@ -22,8 +22,8 @@ use crate::uid::Subject;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Request {
-    /// Send the frame at the most urgent soft real-time priority.
-    SendUrgent(Frame),
+    /// Send the frame at the most urgent soft real-time priority, but not later than at this instant.
+    SendUrgent(Frame, Instant),
     /// Send the frame, which is non real-time.
     Send(Frame),
     /// Withdraw the frame, if it has not been sent.

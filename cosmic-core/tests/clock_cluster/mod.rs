@@ -95,6 +95,16 @@ struct Missed {
     follow_up: bool,
 }
 
+/// A frame on its way.
+#[derive(Clone, Copy)]
+struct Flying {
+    sender: usize,
+    frame: Frame,
+    /// When its transmission ends, successful or not.
+    ends_at: u64,
+    expires_at: u64,
+}
+
 pub(crate) struct Cluster {
     pub(crate) now: u64,
     pub(crate) nodes: Vec<Node>,
@@ -103,8 +113,9 @@ pub(crate) struct Cluster {
     pub(crate) largest_accuracy: u64,
     seed: u64,
     random: Random,
-    /// Frames on the bus: when they end, who sends them.
-    flying: Vec<(u64, usize, Frame)>,
+    /// Are frames withdrawn that could not be sent in their lifetime, as the clock asks for?
+    pub(crate) frames_expire: bool,
+    flying: Vec<Flying>,
     /// Segments were joined; their nodes need not agree before this instant.
     agreed_from: u64,
 }
@@ -149,6 +160,7 @@ impl Cluster {
             largest_accuracy: 0,
             seed,
             random,
+            frames_expire: true,
             flying: Vec::new(),
             agreed_from: 0,
         }
@@ -162,7 +174,7 @@ impl Cluster {
         }
         node.up = up;
         if !up {
-            self.flying.retain(|(_, sender, _)| *sender != number);
+            self.flying.retain(|flying| flying.sender != number);
         }
     }
 
@@ -189,7 +201,7 @@ impl Cluster {
     pub(crate) fn run_until(&mut self, end: u64) {
         while self.now < end {
             let tick = self.now - self.now % MILLISECOND + MILLISECOND;
-            let frame_end = self.flying.iter().map(|(at, ..)| *at).min();
+            let frame_end = self.flying.iter().map(|flying| flying.ends_at).min();
             self.now = frame_end.map_or(tick, |at| at.min(tick)).min(end);
             for node in &mut self.nodes {
                 if self.now.saturating_sub(node.oscillator.start) > SECOND / 2 {
@@ -203,14 +215,17 @@ impl Cluster {
     }
 
     fn deliver(&mut self) {
-        while let Some(place) = self.flying.iter().position(|(at, ..)| *at <= self.now) {
-            let (_, sender, frame) = self.flying.remove(place);
+        while let Some(place) = self.flying.iter().position(|flying| flying.ends_at <= self.now) {
+            let flying = self.flying.remove(place);
+            let Flying { sender, frame, .. } = flying;
             let segment = self.nodes[sender].segment;
             let acknowledged = (0..self.nodes.len())
                 .any(|n| n != sender && self.nodes[n].up && self.nodes[n].segment == segment);
             if !acknowledged {
                 // The controller goes on trying.
-                self.flying.push((self.now + FRAME, sender, frame));
+                if !self.frames_expire || self.now < flying.expires_at {
+                    self.flying.push(Flying { ends_at: self.now + FRAME, ..flying });
+                }
                 continue;
             }
             for number in 0..self.nodes.len() {
@@ -243,8 +258,9 @@ impl Cluster {
                 && let Some(frame) = node.sync.poll(local)
             {
                 let frame = node.distorted(frame);
-                let waits = self.random.below(400_000);
-                self.flying.push((self.now + waits + FRAME, number, frame));
+                let ends_at = self.now + self.random.below(400_000) + FRAME;
+                let expires_at = self.now + node.sync.frame_lifetime().as_ticks();
+                self.flying.push(Flying { sender: number, frame, ends_at, expires_at });
             }
             while let Some(event) = node.sync.poll_event() {
                 node.events.push(event);

@@ -85,7 +85,7 @@ fn urgent() {
     let mut node = Node::new("clock synchronisation goes before all soft events", 2);
     node.submit_soft(1, 400, 5_000);
     let frame = frame(Priority::LEAST, 2);
-    let command = node.etch.submit_urgent(node.now, Tag(2), frame);
+    let command = node.etch.submit_urgent(node.now, Tag(2), frame, Instant::FAR_FUTURE);
     node.submitted(command);
     node.run_until(3_000);
 }

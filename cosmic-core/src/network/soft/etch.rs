@@ -156,8 +156,14 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     ///
     /// # Errors
     /// [`Full`]; the frame is counted and not sent.
-    pub fn submit_urgent(&mut self, now: Instant, tag: Tag, frame: Frame) -> Result<Option<Command>, Full> {
-        let outgoing = Outgoing { tag, frame, deadline: now, expires_at: Instant::FAR_FUTURE };
+    pub fn submit_urgent(
+        &mut self,
+        now: Instant,
+        tag: Tag,
+        frame: Frame,
+        expires_at: Instant,
+    ) -> Result<Option<Command>, Full> {
+        let outgoing = Outgoing { tag, frame, deadline: now, expires_at };
         self.submit_soft_entry(now, Entry { outgoing, reported: true })
     }
 

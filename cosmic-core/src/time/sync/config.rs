@@ -128,6 +128,13 @@ impl SyncConfig {
         self.periods(Self::HOLDOVER_PERIODS + 1)
     }
 
+    /// After a master has yielded, a node that has not heard the new one may take over from it as long as
+    /// it is synchronised, and names it as its predecessor until the end of the handover. A period is to
+    /// spare.
+    pub(super) const fn given_up(&self) -> Duration {
+        self.periods(Self::HOLDOVER_PERIODS + (Self::HOLDOVER_PERIODS + 1) + 1)
+    }
+
     /// So many periods.
     pub(super) const fn periods(&self, count: u64) -> Duration {
         Duration::from_ticks(self.period.as_ticks().saturating_mul(count))

@@ -159,6 +159,10 @@ impl ClockSync {
 
     fn yield_to(&mut self, pair: &Pair) {
         self.tell(ClockEvent::Yielded { to: pair.from });
+        if let Role::Master(mastership) = &self.role {
+            self.last_sequence = mastership.sequence();
+        }
+        self.given_up_until = pair.received_at + self.config.given_up();
         let own = Estimate::exact(&self.config, pair.received_at, &self.clock);
         let estimate =
             if Some(pair.message.predecessor) == self.tx_node { self.continuation(&own, pair) } else { None };

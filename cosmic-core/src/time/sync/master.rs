@@ -18,17 +18,28 @@ pub(super) struct Mastership {
 }
 
 impl Mastership {
-    /// The first sync frame is due now. Until `handover_ends` the time scale is that of `predecessor`.
-    pub(super) const fn new(now: Instant, predecessor: TxNode, handover_ends: Instant) -> Self {
+    /// The first sync frame is due now; its number is the one after `last`. Until `handover_ends` the time
+    /// scale is that of `predecessor`.
+    pub(super) const fn new(
+        now: Instant,
+        last: SyncSequence,
+        predecessor: TxNode,
+        handover_ends: Instant,
+    ) -> Self {
         Self {
             sync_at: now,
-            sequence: SyncSequence::new(u8::MAX),
+            sequence: last,
             outstanding_since: None,
             unheard_since: None,
             follow_up: None,
             predecessor,
             handover_ends: Some(handover_ends),
         }
+    }
+
+    /// The number of the last sync frame.
+    pub(super) const fn sequence(&self) -> SyncSequence {
+        self.sequence
     }
 
     pub(super) const fn predecessor(&self) -> TxNode {

@@ -24,16 +24,19 @@
 //! just joined; two halves of a bus have met; the master stepped) is not synchronised for six periods,
 //! the starter for seven, in which the nodes on another scale change over as well or run out.
 //!
-//! All this holds if no node misses more than three pairs of a living master in a row. Two halves of a bus that are joined again do not agree until the loser's followers have heard the
-//! winner, one period later; nobody can know before.
+//! All this holds if no node misses more than three pairs of a living master in a row, and if no frame
+//! is sent later than [`ClockSync::frame_lifetime`] allows. Two halves of a bus that are joined again do
+//! not agree until the loser's followers have heard the winner, one period later; nobody can know before.
 //!
 //! # Succession
 //! A candidate takes over after `(3 + rank / 8)` periods of silence; the stagger is longer than a
 //! sync frame is ever delayed, and the time-out of the last one is still within the six periods. A
 //! restarted master follows whoever is in office. If two masters meet, the lower rank (then the lower
-//! TxNode) stays, and the other yields at once. A master that cannot send for three periods, because no
-//! node acknowledges or its controller is off the bus, gives up its office and listens again. Only complete pairs count: a master whose follow-ups do
-//! not arrive is silent.
+//! TxNode) stays, and the other yields at once. A node that has yielded continues no time scale for the
+//! next fourteen periods: so long somebody may name it as predecessor and mean the scale that it has given
+//! up, and nobody could tell that one from the new one. A master that cannot send for three periods,
+//! because no node acknowledges or its controller is off the bus, gives up its office and listens again.
+//! Only complete pairs count: a master whose follow-ups do not arrive is silent.
 //!
 //! # Bad masters
 //! A pair that contradicts what is known is not used, counted, and reported. The third in a row is
@@ -56,7 +59,7 @@ pub use config::{SyncConfig, SyncConfigError};
 pub use event::{ClockEvent, SyncCounters};
 
 use crate::can::{Etag, Frame, TxNode};
-use crate::protocol::{FollowUp, Rank, SyncMessage};
+use crate::protocol::{FollowUp, Rank, SyncMessage, SyncSequence};
 use crate::time::{Duration, GlobalClock, Instant, Rate, Uncertainty};
 use event::{Events, count};
 use follower::{Following, Pending};
@@ -92,6 +95,10 @@ pub struct ClockSync {
     clock: GlobalClock,
     /// When this node becomes master, unless a pair comes before; it takes a while to compute.
     takeover_at: Instant,
+    /// Before this, somebody may still continue the time scale that this node has given up.
+    given_up_until: Instant,
+    /// The number of the last sync frame of the mastership before.
+    last_sequence: SyncSequence,
     pending: Option<Pending>,
     calendar_mismatch: bool,
     events: Events,
@@ -126,6 +133,8 @@ impl ClockSync {
             role: Role::Listening { since: now },
             clock: GlobalClock::unsynchronised(),
             takeover_at: Instant::FAR_FUTURE,
+            given_up_until: Instant::EPOCH,
+            last_sequence: SyncSequence::new(u8::MAX),
             pending: None,
             calendar_mismatch: false,
             events: Events::EMPTY,
@@ -246,6 +255,15 @@ impl ClockSync {
         Some(message.encode(tx_node))
     }
 
+    /// A frame from [`ClockSync::poll`] that has not been sent for so long is not to be sent any more: two
+    /// periods.
+    ///
+    /// Its sender has given it up, and another frame may bear its number when the bus is back after a
+    /// while. A receiver could take the instant of the one for that of the other.
+    pub const fn frame_lifetime(&self) -> Duration {
+        self.config.periods(2)
+    }
+
     /// When [`ClockSync::poll`] has something to do, if no frame comes before.
     pub fn next_wakeup(&self) -> Instant {
         match &self.role {
@@ -277,6 +295,7 @@ impl ClockSync {
     fn give_up_unheard(&mut self, now: Instant) {
         let Role::Master(mastership) = &self.role else { return };
         if mastership.is_unheard(now, self.config.loss_time_out()) {
+            self.last_sequence = mastership.sequence();
             self.role = Role::Listening { since: now };
             self.clock = self.clock.with_uncertainty(Uncertainty::COMPLETE);
             self.schedule_takeover();
@@ -296,6 +315,7 @@ impl ClockSync {
             Role::Listening { since } => Some(*since + self.config.cold_start_time_out() + delay),
             Role::Following(following) => {
                 let early = following.heard_at + self.config.loss_time_out() + delay;
+                let early = early.max(self.given_up_until);
                 let late = following.heard_at + self.config.cold_start_time_out() + delay;
                 Some(if self.continued_clock(following, early).is_some() { early } else { late })
             }
@@ -306,7 +326,7 @@ impl ClockSync {
     /// The clock with which this node continues the time scale that it follows from `at` on. `None` if it
     /// does not know it well enough until the end of the handover.
     fn continued_clock(&self, following: &Following, at: Instant) -> Option<GlobalClock> {
-        if !self.clock.is_synchronised(at) {
+        if !self.clock.is_synchronised(at) || at < self.given_up_until {
             return None;
         }
         let clock = following.estimate.clock(Duration::from_ticks(0), 0, Instant::FAR_FUTURE);
@@ -331,7 +351,8 @@ impl ClockSync {
             (GlobalClock::new(now, reached, Rate::ZERO, Uncertainty::COMPLETE), tx_node)
         });
         self.clock = clock;
-        self.role = Role::Master(Mastership::new(now, predecessor, now + self.config.handover()));
+        self.role =
+            Role::Master(Mastership::new(now, self.last_sequence, predecessor, now + self.config.handover()));
         self.takeover_at = Instant::FAR_FUTURE;
         self.pending = None;
         if core::mem::take(&mut self.calendar_mismatch) {

@@ -157,6 +157,46 @@ fn a_master_that_nobody_acknowledges_gives_up() {
 }
 
 #[test]
+fn a_sync_frame_of_an_earlier_mastership_has_another_number() {
+    let mut node = node(Some(0));
+    let first = node.poll(at(8 * PERIOD)).unwrap();
+    let second = node.poll(at(10 * PERIOD)).unwrap();
+    assert_eq!(node.poll(at(11 * PERIOD)), None);
+    assert_eq!(node.next_wakeup(), at(19 * PERIOD));
+    let third = node.poll(at(19 * PERIOD)).unwrap();
+    let number = |frame: &Frame| SyncMessage::decode(frame).unwrap().sequence.get();
+    assert_eq!([&first, &second, &third].map(number), [0, 1, 2]);
+    // Only the one that is awaited is followed up.
+    for late in [&first, &second] {
+        node.on_sent(late, at(19 * PERIOD + 160));
+        assert_eq!(node.poll(at(19 * PERIOD + 160)), None);
+    }
+    node.on_sent(&third, at(19 * PERIOD + 480));
+    assert!(node.poll(at(19 * PERIOD + 480)).is_some());
+}
+
+#[test]
+fn who_has_yielded_continues_no_time_scale_for_a_while() {
+    // It becomes master in continuation of `MASTER`, and yields to one who continues it.
+    let mut node = synchronised(Some(2));
+    let sync = node.poll(at(13 * PERIOD + PERIOD / 4)).unwrap();
+    node.on_sent(&sync, at(13 * PERIOD + PERIOD / 4));
+    assert!(node.is_master());
+    hear(&mut node, OTHER, OWN, 14);
+    assert_eq!(node.master(), Some(OTHER));
+    for period in 15..=23 {
+        hear(&mut node, OTHER, OTHER, period);
+    }
+    assert!(node.clock().is_synchronised(at(23 * PERIOD)));
+    // Not after three periods and its rank's part, but when nobody takes the old scale for the new one.
+    let takeover = at(28 * PERIOD);
+    assert_eq!(node.poll(at(26 * PERIOD)), None);
+    assert_eq!(node.next_wakeup(), takeover);
+    let first = SyncMessage::decode(&node.poll(takeover).unwrap()).unwrap();
+    assert_eq!(first.predecessor, OTHER);
+}
+
+#[test]
 fn a_pair_with_a_lost_frame_is_not_used() {
     let mut node = synchronised(None);
     let clock = node.clock();
