@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::build;
+use crate::build::{self, Images};
 use crate::run::step;
 use crate::suite::Tally;
 use crate::target::TargetWay;
@@ -35,8 +35,20 @@ pub(crate) fn test(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
                 }
             }
         }
+        for name in without_program(&directory.join("expected"), &built.images)? {
+            println!("qemu {name} ... FAILED: expected/{name}.out has no program in src/bin/");
+            tally.failed += 1;
+        }
         Ok(tally)
     })
+}
+
+/// Expectations that no program is compared with: their test has vanished.
+fn without_program(expected: &Path, images: &Images) -> Result<Vec<String>> {
+    let entries = fs::read_dir(expected).with_context(|| format!("{} cannot be read", expected.display()))?;
+    let paths = entries.flatten().map(|entry| entry.path());
+    let names = paths.filter_map(|path| Some(path.file_stem()?.to_string_lossy().into_owned()));
+    Ok(names.filter(|name| !images.contains_key(name)).collect())
 }
 
 fn run_and_compare(image: &Path, expected: &Path) -> Result<()> {
@@ -149,6 +161,18 @@ mod tests {
         let error = wait(&mut child, Duration::ZERO).unwrap_err().to_string();
         assert_eq!(error, "it had not ended after 0 s");
         assert!(child.try_wait().unwrap().is_some());
+    }
+
+    #[test]
+    fn an_expectation_without_a_test_is_found() {
+        let directory = std::env::temp_dir().join(format!("xtask-expected-{}", std::process::id()));
+        fs::create_dir_all(&directory).unwrap();
+        for name in ["there.out", "gone.out"] {
+            fs::write(directory.join(name), "").unwrap();
+        }
+        let images = Images::from([("there".to_owned(), "there".into())]);
+        assert_eq!(without_program(&directory, &images).unwrap(), ["gone"]);
+        fs::remove_dir_all(directory).unwrap();
     }
 
     #[test]
