@@ -1,7 +1,7 @@
 //! Everything that must hold before a change goes in.
 //!
-//! The steps share their build products: flags and profiles are the same in all of them, and the CPU
-//! emulator is compiled in one profile only.
+//! The steps share their build products: flags and profiles are the same in all of them, and the emulated
+//! cluster with what its tests need is compiled in one profile only.
 
 use std::process::{Command, ExitCode};
 
@@ -47,6 +47,7 @@ fn clippy(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     host.args(["clippy", "--all-targets", "--", "--deny", "warnings"]);
     let mut emulator = workspace.cargo();
     emulator.args(["clippy", "--release", "--all-targets", "--package", demo::PACKAGE]);
+    emulator.args(["--features", demo::COMPARISON]);
     emulator.args(["--", "--deny", "warnings"]);
     let mut tally = Tally::default();
     tally.add(check("clippy on the host", &mut host));

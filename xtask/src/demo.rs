@@ -27,7 +27,7 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
 
 /// Builds the firmware and the demo, starts it, and gives its exit code.
 pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
-    let way = setup::prepare(&setup::EMULATOR)?;
+    let way = setup::prepare(&[])?;
     let built = build::firmware(workspace, &way)?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut program = workspace.cargo();
@@ -45,3 +45,6 @@ pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
 
 /// The package of the emulated cluster.
 pub(crate) const PACKAGE: &str = "cosmic-emu";
+
+/// Its feature that compares its processor core with another emulator, for tests.
+pub(crate) const COMPARISON: &str = "unicorn";

@@ -21,8 +21,7 @@ use workspace::Workspace;
 
 /// Build, test and demonstrate COSMIC.
 ///
-/// `demo` and `test` install what is missing before they start, where they may; `setup` alone does just
-/// that.
+/// Each task installs what it lacks before it starts, where it may; `setup` installs everything.
 #[derive(Parser)]
 #[command(name = "cargo xtask", bin_name = "cargo xtask", max_term_width = 100)]
 struct Arguments {

@@ -18,7 +18,7 @@ use crate::target::{self, Choice, TRIPLE, TargetWay};
 pub(crate) enum Tool {
     /// Runs the on-target tests.
     Qemu,
-    /// Builds the CPU emulator of `cosmic-emu`.
+    /// Builds the emulator that the tests of `cosmic-emu` compare its processor core with.
     Cmake,
     /// What cmake's build files are for.
     Make,
@@ -28,8 +28,8 @@ pub(crate) enum Tool {
     Libclang,
 }
 
-/// What the emulated cluster is built with.
-pub(crate) const EMULATOR: [Tool; 4] = [Tool::Cmake, Tool::Make, Tool::Compiler, Tool::Libclang];
+/// What the tests of the emulated cluster are built with. The cluster itself needs none of it.
+pub(crate) const COMPARISON: [Tool; 4] = [Tool::Cmake, Tool::Make, Tool::Compiler, Tool::Libclang];
 
 /// All tools.
 pub(crate) const EVERYTHING: [Tool; 5] =

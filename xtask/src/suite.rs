@@ -24,7 +24,7 @@ pub(crate) struct Options {
 /// Tests that run in one place.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
 enum Part {
-    /// On this machine: what needs neither the Arm target nor an emulator.
+    /// On this machine: what needs neither the Arm target nor an emulator
     Host,
     /// The firmware in the emulated cluster.
     Emulated,
@@ -71,7 +71,7 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
         tally.add(host(workspace));
     }
     if parts.contains(&Part::Emulated) {
-        let way = setup::prepare(&setup::EMULATOR)?;
+        let way = setup::prepare(&setup::COMPARISON)?;
         tally.add(emulated(workspace, &way));
     }
     if parts.contains(&Part::Qemu) {
@@ -96,12 +96,13 @@ pub(crate) fn host(workspace: &Workspace) -> Result<Tally> {
 
 /// The tests of the emulated cluster, which runs the images.
 ///
-/// In the profile of the demo, so that the CPU emulator is compiled once.
+/// In the profile of the demo, for speed.
 pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let built = build::firmware(workspace, way)?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast", "--release", "--package", demo::PACKAGE]);
+    command.args(["--features", demo::COMPARISON]);
     command.env(IMAGES, directory);
     step("testing the firmware in the emulated cluster", || cargo_test(&mut command))
 }
