@@ -22,9 +22,10 @@ use crate::can::{Command, Frame, Id, Mailbox, Outcome, Priority, TxNode};
 pub use crate::event_layer::Delivered;
 use crate::event_layer::{
     Accepted, AnnounceError, Attributes, Channel, ChannelCounters, Content, Declared, Event, EventLayer,
-    Exception, ExceptionKind, Exceptions, Filter, Policy, Publication, PublishError, Published,
-    SubscribeError, Subscription,
+    Exception, ExceptionKind, Exceptions, Filter, MessagePublisher, MessageSubscriber, Policy, Publication,
+    PublishError, Published, SubscribeError, Subscription,
 };
+use crate::network::fragments::Message;
 use crate::network::hard::{Attach, AttachError, BufferId, Counters, HrtBuffers, Role};
 use crate::network::soft::{self, Etch, EtchCounters, Outgoing, PriorityMap, Tag};
 use crate::services::{Declaration, NodeView, Request, Services, TooMany};
@@ -291,11 +292,50 @@ impl<
         }
     }
 
+    /// Sends the next frame of a message, if the one before it has left the node and there is room. Call it
+    /// after [`MessagePublisher::start`], and whenever [`on_outcome`](Self::on_outcome) was called.
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish); the message is given up.
+    pub fn send_message<const LEN: usize>(
+        &mut self,
+        now: Instant,
+        publisher: &mut MessagePublisher<LEN>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Option<Command>, PublishError> {
+        let counters = self.layer.counters_of(publisher.publication().tag());
+        publisher.note_departures(counters.sent, counters.discarded);
+        if !self.etch.has_room_for_non_real_time() {
+            return Ok(None);
+        }
+        let Some(fragment) = publisher.next() else { return Ok(None) };
+        let published = self.publish(now, publisher.publication(), &Event::new(fragment), hard);
+        published.inspect_err(|_| publisher.give_up())
+    }
+
+    /// Takes the frames that wait, and hands each message that they complete to `each`.
+    pub fn receive_messages<const PLACES: usize, const LEN: usize>(
+        &mut self,
+        subscriber: &mut MessageSubscriber<PLACES, LEN>,
+        now: Instant,
+        mut each: impl FnMut(Message<'_>),
+    ) {
+        let Some(etag) = self.layer.etag_of(subscriber.subscription()) else { return };
+        while let Some(fragment) = self.next(subscriber.subscription()) {
+            if let Some(message) = subscriber.take(etag, &fragment) {
+                each(message);
+            }
+        }
+        subscriber.drop_stale(now);
+    }
+
     /// A frame has left the soft or non real-time mailbox. O(log SOFT) or O(log NRT).
     pub fn on_outcome(&mut self, mailbox: Mailbox, outcome: Outcome, at: Instant) {
         let departure = self.etch.on_outcome(mailbox, outcome, at);
-        if let Some(sent) = departure.sent.filter(|sent| sent.tag == SERVICES) {
-            self.services.on_sent(&sent.frame, at);
+        match departure.sent {
+            Some(sent) if sent.tag == SERVICES => self.services.on_sent(&sent.frame, at),
+            Some(sent) => self.layer.note_departure(sent.tag, true),
+            None => {}
         }
         if let Some(exception) = departure.exception {
             self.raise_soft(&exception, at);
@@ -444,6 +484,12 @@ impl<
         self.layer.counters(subject)
     }
 
+    /// Soft and non real-time events that wait to be sent, those of the services included: for an application
+    /// that publishes as much as the bus takes.
+    pub fn waiting(&self) -> usize {
+        self.etch.len()
+    }
+
     /// What went through the soft and non real-time path.
     pub fn etch_counters(&self) -> EtchCounters {
         self.etch.counters()
@@ -563,7 +609,10 @@ impl<
         }
         let kind = match exception.kind {
             soft::ExceptionKind::MissedDeadline => ExceptionKind::MissedDeadline,
-            soft::ExceptionKind::Expired => ExceptionKind::ValidityExpired,
+            soft::ExceptionKind::Expired => {
+                self.layer.note_departure(exception.tag, false);
+                ExceptionKind::ValidityExpired
+            }
         };
         self.raise(self.layer.subject(exception.tag), kind, at);
     }

@@ -8,9 +8,10 @@ use crate::time::{FAR_FUTURE, VirtualInstant};
 use cosmic_core::calendar::Calendar;
 use cosmic_core::can::{Command, Frame, Mailbox, Outcome, TxNode};
 use cosmic_core::event_layer::{
-    AnnounceError, Channel, Content, Event, Exception, Filter, Policy, Publication, PublishError,
-    SubscribeError, Subscription,
+    AnnounceError, Channel, Content, Event, Exception, Filter, MessagePublisher, MessageSubscriber, Policy,
+    Publication, PublishError, SubscribeError, Subscription,
 };
+use cosmic_core::network::fragments::Message;
 use cosmic_core::network::hard::{self, Dispatcher, HrtBuffers};
 use cosmic_core::services::Services;
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
@@ -119,6 +120,28 @@ impl<S: Services> Access<'_, S> {
     /// As [`EventHalf::next`].
     pub fn next<C: Content>(&mut self, subscription: &Subscription<C>) -> Option<Delivered<C>> {
         self.half.next(subscription)
+    }
+
+    /// As [`EventHalf::send_message`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn send_message<const LEN: usize>(
+        &mut self,
+        publisher: &mut MessagePublisher<LEN>,
+    ) -> Result<(), PublishError> {
+        let command = self.half.send_message(self.now, publisher, self.hard)?;
+        self.commands.extend(command);
+        Ok(())
+    }
+
+    /// As [`EventHalf::receive_messages`].
+    pub fn receive_messages<const PLACES: usize, const LEN: usize>(
+        &mut self,
+        subscriber: &mut MessageSubscriber<PLACES, LEN>,
+        each: impl FnMut(Message<'_>),
+    ) {
+        self.half.receive_messages(subscriber, self.now, each);
     }
 
     /// As [`EventHalf::take_exception`].

@@ -197,6 +197,10 @@ pub(super) struct Entry {
 pub struct ChannelCounters {
     /// Events published by this node.
     pub published: u32,
+    /// Of these, soft and non real-time ones that have been sent.
+    pub sent: u32,
+    /// Of these, soft and non real-time ones that expired before they were sent.
+    pub discarded: u32,
     /// Events put into a subscriber's queue; one event counts once for each.
     pub delivered: u32,
     /// Events that no filter of a subscriber let through.

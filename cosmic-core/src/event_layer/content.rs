@@ -1,11 +1,12 @@
 //! Typed content: a payload type is declared once, and nobody can publish or decode the wrong one.
 
+use crate::can::Payload;
 use crate::protocol::LayoutHash;
 
 /// What a channel's events carry, at most eight bytes. Implemented by [`content!`](crate::content) for a
 /// struct, and for unsigned and signed integers, `bool`, and byte arrays.
 pub trait Content: Sized {
-    /// How many bytes it takes.
+    /// How many bytes it takes, at most.
     const LEN: usize;
     /// A hash of the layout: the types of the fields in their order.
     const LAYOUT: LayoutHash;
@@ -13,7 +14,13 @@ pub trait Content: Sized {
     /// Writes the bytes; `bytes` has [`Content::LEN`] of them.
     fn encode(&self, bytes: &mut [u8]);
 
-    /// Reads them; `None` if there are not [`Content::LEN`], or they are no value of the type.
+    /// How many bytes this value takes; [`Content::LEN`], but for [`Payload`].
+    #[inline]
+    fn len(&self) -> usize {
+        Self::LEN
+    }
+
+    /// Reads them; `None` if they are no value of the type, because there are too few or too many.
     fn decode(bytes: &[u8]) -> Option<Self>;
 }
 
@@ -74,6 +81,29 @@ impl<const N: usize> Content for [u8; N] {
     #[inline]
     fn decode(bytes: &[u8]) -> Option<Self> {
         bytes.try_into().ok()
+    }
+}
+
+/// Any bytes, as many as fit: for channels of messages, and for what is decoded by hand.
+impl Content for Payload {
+    const LEN: usize = Payload::MAX_LEN;
+    const LAYOUT: LayoutHash = LayoutHash::UNSTATED;
+
+    #[inline]
+    fn encode(&self, bytes: &mut [u8]) {
+        if let Some(bytes) = bytes.first_chunk_mut() {
+            *bytes = self.padded();
+        }
+    }
+
+    #[inline]
+    fn len(&self) -> usize {
+        Payload::len(self)
+    }
+
+    #[inline]
+    fn decode(bytes: &[u8]) -> Option<Self> {
+        Payload::new(bytes)
     }
 }
 

@@ -280,7 +280,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let etag = entry.etag.ok_or(PublishError::NotBound)?;
         let mut bytes = [0; Payload::MAX_LEN];
         event.content.encode(bytes.get_mut(..C::LEN).ok_or(PublishError::TooLong)?);
-        let mut payload = Payload::truncated(bytes, C::LEN);
+        let mut payload = Payload::truncated(bytes, event.content.len());
         if entry.declared.context {
             payload = event.context.prepend(&payload).map_err(|_| PublishError::TooLong)?;
         } else if event.context != Context::EMPTY {
@@ -417,6 +417,27 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if let Some(former) = former {
             self.by_etag.remove(u32::from(former.get()));
         }
+    }
+
+    /// An event of the channel has left the node.
+    pub(crate) fn note_departure(&mut self, tag: Tag, sent: bool) {
+        if let Some(entry) = self.entry_mut(tag.0) {
+            let counters = &mut entry.counters;
+            let count = if sent { &mut counters.sent } else { &mut counters.discarded };
+            *count = count.wrapping_add(1);
+        }
+    }
+
+    /// What happened on a channel, by its number.
+    pub(crate) fn counters_of(&self, tag: Tag) -> ChannelCounters {
+        let entry = self.channels.get(usize::from(tag.0)).and_then(Option::as_ref);
+        entry.map_or(ChannelCounters::default(), |entry| entry.counters)
+    }
+
+    /// The etag of a subscription's channel, if it is known.
+    pub(crate) fn etag_of<C>(&self, subscription: &Subscription<C>) -> Option<Etag> {
+        let subscriber = self.subscribers.get(usize::from(subscription.index))?.as_ref()?;
+        self.channels.get(usize::from(subscriber.channel))?.as_ref()?.etag
     }
 
     /// Does this node publish on the channel, and does it subscribe to it? O(CHANNELS).

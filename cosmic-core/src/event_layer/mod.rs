@@ -6,7 +6,9 @@ mod content;
 mod exception;
 mod filter;
 mod layer;
+mod messages;
 mod pool;
+pub use messages::{MessagePublisher, MessageSubscriber};
 
 pub use crate::protocol::Class;
 pub use attributes::{Attributes, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes};

@@ -195,6 +195,11 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         self.non_real_time.push(key, entry, event.tag.reserve()).map(|()| None).map_err(|_| self.refuse())
     }
 
+    /// Is there room for another non real-time event?
+    pub fn has_room_for_non_real_time(&self) -> bool {
+        self.non_real_time.len() + RESERVED < NRT
+    }
+
     /// Is there room for another frame of the services in both queues?
     pub fn has_room_for_services(&self) -> bool {
         self.soft.len() < SOFT && self.non_real_time.len() < NRT
