@@ -1,7 +1,7 @@
 //! A picture of the bus: one slot close up, and the cycles around it.
 //!
 //! It shows the slot that tells most: one that was not as promised, else one beyond its fault hypothesis,
-//! else the first whose frame was destroyed, else any. An SVG file; in a browser, what the pointer rests on
+//! else the first whose frame was destroyed, else the one next to the first destroyed frame, else any. An SVG file; in a browser, what the pointer rests on
 //! explains itself.
 
 mod axis;
@@ -18,13 +18,14 @@ use svg::Document;
 use super::hard::{Fate, Occurrence};
 use super::journal::Journal;
 use super::report::Settings;
+use super::span::Span;
 use super::verdict::Verdict;
 use canvas::{Area, Label, definitions};
 use palette::{FAINT_INK, PAPER};
 
 /// Draws a run.
 pub fn draw(settings: &Settings, journal: &Journal, verdict: &Verdict) -> String {
-    let focus = focus(verdict);
+    let focus = focus(journal, verdict);
     let start = start_of_cycle(journal, focus);
     let closeup = TITLE + 40.0;
     let cycles = match focus {
@@ -58,12 +59,19 @@ pub fn draw(settings: &Settings, journal: &Journal, verdict: &Verdict) -> String
 }
 
 /// The slot that tells most.
-fn focus(verdict: &Verdict) -> Option<&Occurrence> {
+fn focus<'v>(journal: &Journal, verdict: &'v Verdict) -> Option<&'v Occurrence> {
     let judged = || verdict.slots.occurrences.iter().filter(|it| it.fate != Fate::Settling);
     let with = |fate| judged().find(|it| it.fate == fate);
     let faulted = || judged().find(|it| it.faulted > 0);
+    let near_error = || {
+        let first = judged().next()?.window.ready;
+        let last = judged().last()?.window.delivery;
+        let mut attempts = journal.bus.attempts().iter();
+        let error = attempts.find(|it| it.has_failed() && it.start > first && it.start < last)?;
+        judged().min_by_key(|it| Span::between(it.window.ready, error.start).abs())
+    };
     let any = || judged().nth(judged().count() / 2);
-    with(Fate::Violated).or_else(|| with(Fate::Lost)).or_else(faulted).or_else(any)
+    with(Fate::Violated).or_else(|| with(Fate::Lost)).or_else(faulted).or_else(near_error).or_else(any)
 }
 
 fn start_of_cycle(journal: &Journal, focus: Option<&Occurrence>) -> VirtualInstant {
