@@ -76,7 +76,7 @@ pub fn as_microseconds(span: Duration) -> f64 {
 /// A bit rate in the unit that suits it.
 pub fn show_rate(rate: BitRate) -> String {
     let bits = rate.bits_per_second();
-    if bits % 1_000_000 == 0 {
+    if bits.is_multiple_of(1_000_000) {
         format!("{} Mbit/s", bits / 1_000_000)
     } else {
         format!("{} kbit/s", decimal(u64::from(bits), 3))

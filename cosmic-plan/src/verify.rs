@@ -130,10 +130,10 @@ fn windows_are_apart(cycle: u64, windows: &[Window], faults: &mut Vec<String>) {
             latest = Some(window);
         }
     }
-    if let Some(last) = latest {
-        if last.to > first.from + cycle {
-            faults.push("the last window reaches into the first of the next cycle".to_owned());
-        }
+    if let Some(last) = latest
+        && last.to > first.from + cycle
+    {
+        faults.push("the last window reaches into the first of the next cycle".to_owned());
     }
 }
 

@@ -182,12 +182,12 @@ impl Checker<'_> {
                 self.problem(place, format!("channel.{name}.{field}"), what, help);
             }
         }
-        if let (Some(deadline), Some(validity)) = (&table.deadline, &table.validity) {
-            if validity.value.0 < deadline.value.0 {
-                let what = "an event would expire before its deadline";
-                let help = format!("write at least the deadline, {}", show(deadline.value.0));
-                self.problem(&validity.place, format!("channel.{name}.validity"), what, help);
-            }
+        if let (Some(deadline), Some(validity)) = (&table.deadline, &table.validity)
+            && validity.value.0 < deadline.value.0
+        {
+            let what = "an event would expire before its deadline";
+            let help = format!("write at least the deadline, {}", show(deadline.value.0));
+            self.problem(&validity.place, format!("channel.{name}.validity"), what, help);
         }
     }
 

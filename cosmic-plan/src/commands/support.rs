@@ -4,7 +4,7 @@ use cosmic_plan::analysis::segment::{Assessment, assess};
 use cosmic_plan::cluster::Cluster;
 use cosmic_plan::document::{Problems, Source};
 use cosmic_plan::output::{report, text};
-use cosmic_plan::plan::relax::relaxations;
+use cosmic_plan::plan::relax::{relaxations, relaxations_of_the_largest};
 use cosmic_plan::plan::{Effort, NoPlan, Plan, plan};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::cell::RefCell;
@@ -102,7 +102,7 @@ pub(super) fn planned(file: &Path, json: bool) -> Result<Planned, Failure> {
 fn no_plan(cluster: &Cluster, failure: &NoPlan, effort: &Effort<'_>, json: bool) -> Failure {
     let ways_out = match failure {
         NoPlan::Impossible(conflict) => relaxations(cluster, conflict, effort),
-        NoPlan::GaveUp { .. } => Vec::new(),
+        NoPlan::GaveUp { .. } => relaxations_of_the_largest(cluster, effort),
     };
     Failure::NoPlan(if json {
         format!("{:#}\n", report::of_failure(cluster, failure, &ways_out))

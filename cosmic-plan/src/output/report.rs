@@ -143,6 +143,8 @@ fn of_proof(proof: &Proof) -> Value {
 
 /// Why there is no plan.
 pub fn of_failure(cluster: &Cluster, failure: &NoPlan, relaxations: &[Relaxation]) -> Value {
+    let ways_out: Vec<Value> =
+        relaxations.iter().map(|r| json!({ "change": r.change, "cost": r.cost })).collect();
     match failure {
         NoPlan::Impossible(conflict) => json!({
             "verdict": "impossible",
@@ -150,12 +152,10 @@ pub fn of_failure(cluster: &Cluster, failure: &NoPlan, relaxations: &[Relaxation
             "conflict": conflict.constraints,
             "channels": names(cluster, conflict),
             "minimal": conflict.minimal,
-            "relaxations": relaxations.iter().map(|r| json!({
-                "change": r.change, "cost": r.cost,
-            })).collect::<Vec<_>>(),
+            "relaxations": ways_out,
         }),
         NoPlan::GaveUp { slots, reserved } => json!({
-            "verdict": "not found", "slots": slots, "reserved": reserved,
+            "verdict": "not found", "slots": slots, "reserved": reserved, "relaxations": ways_out,
         }),
     }
 }

@@ -196,25 +196,28 @@ pub fn of_failure(cluster: &Cluster, failure: &NoPlan, relaxations: &[Relaxation
             for constraint in &conflict.constraints {
                 let _ = writeln!(out, "  - {constraint}");
             }
-            if relaxations.is_empty() {
-                writeln!(out, "\nNo single change of omissions, period or bit rate helps.")
-            } else {
-                let _ = writeln!(out, "\nAny one of these changes helps, the cheapest first:");
-                relaxations.iter().try_for_each(|relaxation| writeln!(out, "  - {}", relaxation.change))
-            }
+            ways_out(&mut out, relaxations)
         }
         NoPlan::GaveUp { slots, reserved } => {
             let percent = reserved * 100.0;
-            writeln!(
+            let _ = writeln!(
                 out,
                 "{}: no calendar was found for {slots} slots that reserve {percent:.1} % of the time,\n\
-                nor a proof that none exists. Reserve less: fewer omissions, longer or harmonic periods,\n\
-                or a pool.",
+                 nor a proof that none exists.",
                 cluster.name
-            )
+            );
+            ways_out(&mut out, relaxations)
         }
     };
     out
+}
+
+fn ways_out(out: &mut String, relaxations: &[Relaxation]) -> std::fmt::Result {
+    if relaxations.is_empty() {
+        return writeln!(out, "\nNo few changes of omissions, periods or bit rate were found to help.");
+    }
+    writeln!(out, "\nAny one of these changes helps, the cheapest first:")?;
+    relaxations.iter().try_for_each(|relaxation| writeln!(out, "  - {}", relaxation.change))
 }
 
 fn cut(text: &str, width: usize) -> String {

@@ -51,12 +51,13 @@ pub(super) fn obvious(request: &Request) -> Option<(String, Vec<usize>)> {
             let grid = gcd(a.period, b.period);
             if a.window + b.window > grid {
                 let reason = format!(
-                    "windows of {} and {} recur with periods of {} and {} and so meet within every {}",
+                    "windows of {} and {} do not fit side by side into {}, within which they meet \
+                     (periods {} and {})",
                     span(a.window),
                     span(b.window),
+                    span(grid),
                     span(a.period),
-                    span(b.period),
-                    span(grid)
+                    span(b.period)
                 );
                 return Some((reason, vec![other, at]));
             }

@@ -11,9 +11,9 @@ use std::collections::BTreeMap;
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Rule {
-    FirstFit,
-    BestFit,
-    LastFit,
+    First,
+    Best,
+    Last,
 }
 
 /// Positions for all items, or `None` if every try that `proceed` allowed failed. Items with a spacing
@@ -28,13 +28,23 @@ pub(super) fn place(request: &Request, proceed: &mut dyn FnMut() -> bool) -> Opt
         if attempt > 0 && !proceed() {
             return None;
         }
-        let rule = [Rule::FirstFit, Rule::BestFit, Rule::LastFit][attempt % 3];
+        let rule = [Rule::First, Rule::Best, Rule::Last][attempt % 3];
         match place_in_order(request, &order(request, &urgency), rule) {
             Ok(positions) => return Some(positions),
             Err(failed) => urgency[failed] += 1 + attempt as u32,
         }
     }
     None
+}
+
+/// What each rule for the choice among places gives by itself: calendars to choose from.
+pub(super) fn variants(request: &Request) -> Vec<Vec<i64>> {
+    if request.items.iter().any(|item| item.spacing.is_some()) {
+        return Vec::new();
+    }
+    let order = order(request, &vec![0; request.items.len()]);
+    let rules = [Rule::First, Rule::Best, Rule::Last];
+    rules.into_iter().filter_map(|rule| place_in_order(request, &order, rule).ok()).collect()
 }
 
 /// Most urgent first; then little freedom, short periods, long windows. What follows something else comes
@@ -49,11 +59,11 @@ fn order(request: &Request, urgency: &[u32]) -> Vec<usize> {
     for _ in 0..request.links.len() {
         for link in &request.links {
             let find = |what: usize| order.iter().position(|at| *at == what);
-            if let (Some(first), Some(then)) = (find(link.first), find(link.then)) {
-                if then < first {
-                    let item = order.remove(first);
-                    order.insert(then, item);
-                }
+            if let (Some(first), Some(then)) = (find(link.first), find(link.then))
+                && then < first
+            {
+                let item = order.remove(first);
+                order.insert(then, item);
             }
         }
     }
@@ -119,9 +129,9 @@ fn intersect(places: &[(i64, i64)], low: i64, high: i64, grid: i64) -> Vec<(i64,
 
 fn choose(places: &[(i64, i64)], rule: Rule) -> Option<i64> {
     match rule {
-        Rule::FirstFit => places.first().map(|place| place.0),
-        Rule::BestFit => places.iter().min_by_key(|place| place.1 - place.0).map(|place| place.0),
-        Rule::LastFit => places.last().map(|place| place.1),
+        Rule::First => places.first().map(|place| place.0),
+        Rule::Best => places.iter().min_by_key(|place| place.1 - place.0).map(|place| place.0),
+        Rule::Last => places.last().map(|place| place.1),
     }
 }
 

@@ -27,7 +27,8 @@ use std::time::Instant;
 /// How long to try.
 #[derive(Clone, Copy)]
 pub struct Effort<'a> {
-    /// After this time a search that has not ended gives up.
+    /// After this time a complete search that has not ended gives up. Quick placement takes a third of it at
+    /// most.
     pub limit: std::time::Duration,
     /// Called now and then with what is being done, for a progress bar.
     pub watch: Option<&'a dyn Fn(&str)>,
@@ -35,7 +36,7 @@ pub struct Effort<'a> {
 
 impl Default for Effort<'_> {
     fn default() -> Self {
-        Self { limit: std::time::Duration::from_secs(8), watch: None }
+        Self { limit: std::time::Duration::from_secs(24), watch: None }
     }
 }
 
@@ -182,10 +183,10 @@ pub fn plan(cluster: &Cluster, effort: &Effort<'_>) -> Result<Plan, NoPlan> {
         exact::Answer::Placed(positions) => return Ok(finish(cluster, &layout, positions)),
         other => (other, Method::Occurrences),
     };
-    if let Some(split) = layout.by_occurrence(cluster) {
-        if let exact::Answer::Placed(positions) = run_exact(&split.request, effort, Instant::now()) {
-            return Ok(split.plan(cluster, &positions, method));
-        }
+    if let Some(split) = layout.by_occurrence(cluster)
+        && let exact::Answer::Placed(positions) = run_exact(&split.request, effort, Instant::now())
+    {
+        return Ok(split.plan(cluster, &positions, method));
     }
     match found {
         exact::Answer::Impossible => Err(NoPlan::Impossible(conflict::find(cluster, &layout, effort))),
@@ -206,11 +207,44 @@ pub fn is_plannable(cluster: &Cluster, effort: &Effort<'_>) -> bool {
     })
 }
 
+/// The plan with these positions, spread out; or one with others, if soft and non real-time channels fare
+/// better with them. The choice depends on nothing but the cluster.
 fn finish(cluster: &Cluster, layout: &Layout, placed: Vec<i64>) -> Plan {
-    let method = if greedy_found(&layout.request, &placed) { Method::Placement } else { Method::Search };
-    let positions = spread::spread(&layout.request, &placed);
-    let positions = if layout.request.accepts(&positions) { positions } else { placed };
-    layout.plan(cluster, &positions, method)
+    let request = &layout.request;
+    let method = if greedy_found(request, &placed) { Method::Placement } else { Method::Search };
+    let spread_out = spread::spread(request, &placed);
+    let first = if request.accepts(&spread_out) { spread_out } else { placed.clone() };
+    let mut best = layout.plan(cluster, &first, method);
+    if request.items.len() > MOST_TO_COMPARE {
+        return best;
+    }
+    let mut least = strain(cluster, &best);
+    let variants = greedy::variants(request);
+    let spread_variants = variants.iter().map(|positions| spread::spread(request, positions));
+    for positions in spread_variants.chain([placed]).chain(variants.iter().cloned()) {
+        // Zero: nothing besides the calendar has a deadline.
+        if least == 0.0 || !request.accepts(&positions) {
+            continue;
+        }
+        let other = layout.plan(cluster, &positions, method);
+        let strain = strain(cluster, &other);
+        if strain < least {
+            (best, least) = (other, strain);
+        }
+    }
+    best
+}
+
+/// How near the worst bound comes to its deadline, as a share; beyond 1 it misses.
+fn strain(cluster: &Cluster, plan: &Plan) -> f64 {
+    let assessment = crate::analysis::segment::assess(cluster, plan);
+    let event_triggered = |channel: usize| !matches!(cluster.channels[channel].class, Class::Hard { .. });
+    let channels = assessment.channels.iter().filter(|c| event_triggered(c.channel)).map(|c| &c.proof);
+    let shares = channels.chain(&assessment.foreign).filter_map(|proof| {
+        let deadline = proof.deadline?.as_ticks() as f64;
+        Some(proof.bound.map_or(f64::INFINITY, |bound| bound.as_ticks() as f64 / deadline))
+    });
+    shares.fold(0.0, f64::max)
 }
 
 fn greedy_found(request: &request::Request, positions: &[i64]) -> bool {
@@ -225,7 +259,7 @@ fn search(request: &request::Request, effort: &Effort<'_>) -> exact::Answer {
     }
     let small = exact::size(request) <= EXACT_SIZE;
     // Where the complete search can take over it soon should.
-    let share = if small { 20 } else { 1 };
+    let share = if small { 20 } else { 3 };
     let mut within_share = || {
         report(effort, "placing slots");
         started.elapsed() < effort.limit / share
@@ -254,6 +288,9 @@ pub fn hard_channels(cluster: &Cluster) -> impl Iterator<Item = usize> + '_ {
     let hard = |at: &usize| matches!(cluster.channels[*at].class, Class::Hard { .. });
     (0..cluster.channels.len()).filter(hard)
 }
+
+/// Slots up to which several calendars are compared.
+const MOST_TO_COMPARE: usize = 120;
 
 /// Truth values up to which the complete search is tried.
 const EXACT_SIZE: i64 = 60_000;

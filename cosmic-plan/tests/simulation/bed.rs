@@ -191,10 +191,10 @@ impl Bed {
             self.bus.withdraw(instant(now), self.stations[node], mailbox);
             self.bus.advance(instant(now), &mut events);
             // A frame that is on the wire goes on with its old priority; do not ask again.
-            if let Some(lane) = self.lanes.get_mut(&(node, mailbox)) {
-                if let Some((_, priority)) = &mut lane.loaded {
-                    *priority = 0;
-                }
+            if let Some(lane) = self.lanes.get_mut(&(node, mailbox))
+                && let Some((_, priority)) = &mut lane.loaded
+            {
+                *priority = 0;
             }
             self.handle(&mut events, now);
         }
