@@ -65,7 +65,7 @@ fn focus<'v>(journal: &Journal, verdict: &'v Verdict) -> Option<&'v Occurrence> 
     let faulted = || judged().find(|it| it.faulted > 0);
     let near_error = || {
         let first = judged().next()?.window.ready;
-        let last = judged().last()?.window.delivery;
+        let last = judged().next_back()?.window.delivery;
         let mut attempts = journal.bus.attempts().iter();
         let error = attempts.find(|it| it.has_failed() && it.start > first && it.start < last)?;
         judged().min_by_key(|it| Span::between(it.window.ready, error.start).abs())
