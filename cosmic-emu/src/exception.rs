@@ -93,7 +93,8 @@ pub(crate) fn unstack(cpu: &mut dyn Cpu, exc_return: u32) -> Result<(), Fault> {
     let size = if is_extended { EXTENDED_FRAME } else { BASIC_FRAME };
     let mut bytes = vec![0; size as usize];
     cpu.read_memory(frame, &mut bytes).map_err(|fault| stack_fault(fault, Access::Read))?;
-    let words: Vec<u32> = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+    let words: Vec<u32> =
+        bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
 
     for n in 0..=3 {
         cpu.set_register(Register::R(n), words[usize::from(n)]);

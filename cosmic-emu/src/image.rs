@@ -202,4 +202,3 @@ fn functions(object: &ElfFile32<'_, Endianness>) -> BTreeMap<u32, (u32, String)>
         })
         .collect()
 }
-

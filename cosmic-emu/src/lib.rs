@@ -33,14 +33,14 @@
 //! One seed gives one sequence of observations, byte for byte, however fast the host is.
 //!
 //! # Known limits
-//! An IT block is executed as one instruction. An interrupt does not clear the exclusive monitor, so a
-//! store-exclusive behind one fails only if the value has changed or the handler used the monitor itself;
-//! an atomic operation is correct either way. The floating point unit is always enabled. A fault ends the
-//! node instead of entering HardFault.
+//! The floating point unit is always enabled, rounds to nearest, and keeps no exception flags. Code always
+//! runs privileged, and the memory protection unit is not modelled. A fault ends the node instead of
+//! entering HardFault.
 //!
-//! # Licence
-//! The core is the Unicorn emulator, which is GPL-2.0: this crate builds test programs only, and nothing
-//! that is delivered links it.
+//! # The core
+//! It is an interpreter of our own, behind a trait. With the feature `unicorn` (GPL-2.0, needs cmake and
+//! libclang; for tests only) it is compared with the Unicorn emulator on random instructions:
+//! `cargo test -p cosmic-emu --features unicorn differential`.
 
 mod clock;
 mod cluster;

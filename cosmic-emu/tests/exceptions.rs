@@ -154,7 +154,8 @@ fn faults_end_a_node_and_name_the_place() {
     });
     let seen = run(&program, 100);
     let [only] = &seen[..] else { panic!("{seen:?}") };
-    let ObservationKind::Stopped { reason: StopReason::Fault(Fault::Access { address, .. }), place } = &only.kind
+    let ObservationKind::Stopped { reason: StopReason::Fault(Fault::Access { address, .. }), place } =
+        &only.kind
     else {
         panic!("{only:?}")
     };

@@ -31,9 +31,11 @@ fn refusals_name_the_file_and_the_remedy() {
     assert!(refusal(elf(&[], &[])).contains("nothing is loaded there"));
     let far = refusal(elf(&[(0x9000_0000, vec![0; 16])], &[]));
     assert!(far.contains("segment 0x90000000 + 0x10 lies outside"), "{far}");
-    let mut cut = Program::default().main(|asm| {
-        asm.sleep();
-    }).elf();
+    let mut cut = Program::default()
+        .main(|asm| {
+            asm.sleep();
+        })
+        .elf();
     cut.truncate(60);
     assert!(refusal(cut).starts_with("brake.elf: "));
 }

@@ -105,10 +105,10 @@ impl Pace {
         self.cycle.set(self.cycle.get() + cycles);
     }
 
-    /// The instruction that was executed last was a taken branch.
+    /// Was the instruction that was executed last a taken branch?
     #[inline]
-    pub(crate) fn branch(&self) {
-        self.cycle.set(self.cycle.get() + REFILL);
+    pub(crate) fn branch(&self, is_taken: bool) {
+        self.cycle.set(self.cycle.get() + u64::from(is_taken) * REFILL);
     }
 
     /// The instruction that was begun last is not executed after all. Its cycles have passed.

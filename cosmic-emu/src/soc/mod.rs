@@ -262,7 +262,11 @@ impl System {
     }
 
     fn report_not_modelled(&mut self, access: Access, address: u32) {
-        self.report(access, address, |access, address, pc| HappeningKind::NotModelled { access, address, pc });
+        self.report(access, address, |access, address, pc| HappeningKind::NotModelled {
+            access,
+            address,
+            pc,
+        });
     }
 
     /// Reads a word, or reports that it cannot be read.

@@ -48,7 +48,15 @@ impl Nvic {
     pub(crate) const fn new() -> Self {
         // System exceptions need not be enabled, apart from the faults, which escalate here.
         let enabled = (1 << number::FIRST_INTERRUPT) - 1;
-        Self { enabled, pending: 0, active: 0, asserted: 0, priorities: [0; EXCEPTIONS], group: 0, running: Vec::new() }
+        Self {
+            enabled,
+            pending: 0,
+            active: 0,
+            asserted: 0,
+            priorities: [0; EXCEPTIONS],
+            group: 0,
+            running: Vec::new(),
+        }
     }
 
     /// Is anything pending that is enabled, masked or not?
@@ -208,7 +216,9 @@ impl Nvic {
             0x400..=0x453 => {
                 self.write_priorities((offset - 0x400) as u16 + number::FIRST_INTERRUPT, value, lanes);
             }
-            0xF00 => self.pend(number::FIRST_INTERRUPT + (value & 0x7F).min(u32::from(INTERRUPTS) - 1) as u16),
+            0xF00 => {
+                self.pend(number::FIRST_INTERRUPT + (value & 0x7F).min(u32::from(INTERRUPTS) - 1) as u16)
+            }
             _ => return None,
         }
         Some(())

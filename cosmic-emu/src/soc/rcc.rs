@@ -7,9 +7,10 @@ const HSI_HERTZ: u32 = 16_000_000;
 /// Registers up to DCKCFGR.
 const WORDS: usize = 0x90 / 4;
 
+/// Numbers of the registers, four bytes each.
 mod register {
-    pub(super) const CR: usize = 0x00 / 4;
-    pub(super) const PLLCFGR: usize = 0x04 / 4;
+    pub(super) const CR: usize = 0;
+    pub(super) const PLLCFGR: usize = 1;
     pub(super) const CFGR: usize = 0x08 / 4;
     pub(super) const CIR: usize = 0x0C / 4;
     pub(super) const AHB1RSTR: usize = 0x10 / 4;
@@ -89,7 +90,11 @@ impl Rcc {
         };
         // The timebase divides by it; a PLL that is set to nonsense stands still in reality.
         let hclk_hertz = (sysclk / hpre).max(1);
-        Clocks { hclk_hertz, apb1_divider, timer_divider: if apb1_divider == 1 { 1 } else { apb1_divider / 2 } }
+        Clocks {
+            hclk_hertz,
+            apb1_divider,
+            timer_divider: if apb1_divider == 1 { 1 } else { apb1_divider / 2 },
+        }
     }
 
     fn pll_hertz(&self) -> u32 {

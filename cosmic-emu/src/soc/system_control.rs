@@ -159,7 +159,11 @@ impl SystemControl {
 fn icsr(nvic: &Nvic) -> u32 {
     let flag = |exception: u16, bit: u32| if nvic.is_pending(exception) { 1 << bit } else { 0 };
     let next = u32::from(nvic.most_urgent_pending().unwrap_or(0)) << 12;
-    u32::from(nvic.current()) | next | flag(number::SYS_TICK, 26) | flag(number::PEND_SV, 28) | flag(number::NMI, 31)
+    u32::from(nvic.current())
+        | next
+        | flag(number::SYS_TICK, 26)
+        | flag(number::PEND_SV, 28)
+        | flag(number::NMI, 31)
 }
 
 fn write_icsr(value: u32, nvic: &mut Nvic) {

@@ -103,8 +103,10 @@ impl Program {
 
     /// Copies a word to the outputs of port A.
     pub fn show(&mut self, address: u32) -> &mut Self {
-        self.load(0, address).half(0x6801) // ldr r1, [r0]
-            .load(0, GPIOA_ODR).half(0x6001)
+        self.load(0, address)
+            .half(0x6801) // ldr r1, [r0]
+            .load(0, GPIOA_ODR)
+            .half(0x6001)
     }
 
     pub fn wfi(&mut self) -> &mut Self {

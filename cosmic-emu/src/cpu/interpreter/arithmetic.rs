@@ -73,7 +73,8 @@ pub(super) const fn half(value: u32, top: bool) -> i32 {
 /// Both products of halves, the second factor's halves exchanged or not.
 pub(super) const fn dual(n: u32, m: u32, subtract: bool, swap: bool) -> i64 {
     let m = if swap { m.rotate_left(16) } else { m };
-    let (low, high) = (half(n, false) as i64 * half(m, false) as i64, half(n, true) as i64 * half(m, true) as i64);
+    let (low, high) =
+        (half(n, false) as i64 * half(m, false) as i64, half(n, true) as i64 * half(m, true) as i64);
     if subtract { low - high } else { low + high }
 }
 

@@ -205,11 +205,9 @@ fn miscellaneous(first: u16, second: u16) -> Op {
             let list = first & 0xFF | (first >> 8 & 1) << LR;
             Op::StoreMultiple { rn: SP, list, write_back: true, decrement: true }
         }
-        0x6 if first & 0xE8 == 0x60 => Op::ChangeMasks {
-            disable: first & 0x10 != 0,
-            primask: first & 2 != 0,
-            faultmask: first & 1 != 0,
-        },
+        0x6 if first & 0xE8 == 0x60 => {
+            Op::ChangeMasks { disable: first & 0x10 != 0, primask: first & 2 != 0, faultmask: first & 1 != 0 }
+        }
         0xA => match first >> 6 & 3 {
             0 => unary(Unary::ReverseBytes),
             1 => unary(Unary::ReverseBytes16),

@@ -37,7 +37,8 @@ fn load_store(first: u16, second: u16, is_double: bool) -> Op {
     let bit = |at: u32| first >> at & 1 != 0;
     let (pre, up, write_back, load) = (bit(8), bit(7), bit(5), bit(4));
     let (rn, words) = ((first & 0xF) as u8, (second & 0xFF) as u8);
-    let register = if is_double { double(second >> 12, first >> 6) } else { Some(single(second >> 12, first >> 6)) };
+    let register =
+        if is_double { double(second >> 12, first >> 6) } else { Some(single(second >> 12, first >> 6)) };
     if !pre && !up && !write_back {
         return if bit(6) { move_pair(first, second, is_double) } else { Op::Undefined };
     }
@@ -52,8 +53,13 @@ fn load_store(first: u16, second: u16, is_double: bool) -> Op {
             Op::FloatStore { first: first_register, count, address }
         };
     }
-    let count = if is_double { words & !1 } else { words };
-    if pre == up || count == 0 || first_register + count > 32 {
+    // An odd number of words of double registers is the form FLDMX, which is deprecated.
+    let count = words;
+    if pre == up
+        || count == 0
+        || (is_double && count % 2 != 0)
+        || u16::from(first_register) + u16::from(count) > 32
+    {
         return Op::Undefined;
     }
     Op::FloatMultiple { rn, first: first_register, count, write_back, decrement: pre, load }

@@ -2,8 +2,8 @@
 
 use super::decode::{alu, constant, shifted, sign_extend};
 use super::op::{
-    Accumulate, Address, Alu, Binary, CarryOut, Extend, Flags, Long, Op, Operand, Parallel, ParallelKind, Reg,
-    Shape, Shift, Unary, Width,
+    Accumulate, Address, Alu, Binary, CarryOut, Extend, Flags, Long, Op, Operand, Parallel, ParallelKind,
+    Reg, Shape, Shift, Unary, Width,
 };
 
 const PC: Reg = 15;
@@ -61,8 +61,12 @@ fn dual_exclusive_table(first: u16, second: u16) -> Op {
     if pre || write_back {
         let offset = signed_offset(up, (second & 0xFF) * 4);
         let address = indexed(rn, offset, pre, write_back);
-        let address = if rn == PC { Address::Literal(offset) } else { address };
-        return if load { Op::LoadDual { rt, rt2, address } } else { Op::StoreDual { rt, rt2, address } };
+        return match (load, rn == PC) {
+            (true, true) => Op::LoadDual { rt, rt2, address: Address::Literal(offset) },
+            (true, false) => Op::LoadDual { rt, rt2, address },
+            (false, false) => Op::StoreDual { rt, rt2, address },
+            (false, true) => Op::Undefined,
+        };
     }
     let narrow = match second >> 4 & 0xF {
         4 => Width::Byte,
@@ -93,7 +97,8 @@ const fn indexed(rn: Reg, offset: i32, pre: bool, write_back: bool) -> Address {
 fn data_processing(first: u16, rd: Reg, operand: Operand) -> Op {
     let (rn, set) = (low(first), bit(first, 4));
     let flags = if set { Flags::Set } else { Flags::Keep };
-    let or_test = |op| if rd == PC && set { Op::Test { op, rn, operand } } else { alu(op, rd, rn, operand, flags) };
+    let or_test =
+        |op| if rd == PC && set { Op::Test { op, rn, operand } } else { alu(op, rd, rn, operand, flags) };
     match first >> 5 & 0xF {
         0x0 => or_test(Alu::And),
         0x1 => alu(Alu::Bic, rd, rn, operand, flags),
@@ -159,7 +164,10 @@ fn plain_immediate(first: u16, second: u16) -> Op {
         let arithmetic = bit(first, 5);
         let bits = low_bits + u8::from(signed);
         if arithmetic && lsb == 0 {
-            return Op::SaturateHalves { rd, rn, bits: (low_bits & 0xF) + u8::from(signed), signed };
+            if low_bits & 0x10 != 0 {
+                return Op::Undefined;
+            }
+            return Op::SaturateHalves { rd, rn, bits, signed };
         }
         let shift = if arithmetic { Shift::ArithmeticRight } else { Shift::Left };
         Op::Saturate { rd, rn, bits, shift, amount: lsb, signed }

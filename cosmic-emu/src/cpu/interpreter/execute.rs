@@ -18,15 +18,14 @@ impl Interpreter {
             Op::Store { rt, address, width } => return self.store(rt, address, width),
             Op::Branch { offset } => self.next = self.r[PC].wrapping_add_signed(offset),
             Op::BranchIf { condition, offset } => {
-                if self.flags.pass(condition) {
-                    self.next = self.r[PC].wrapping_add_signed(offset);
-                }
+                let target = self.r[PC].wrapping_add_signed(offset);
+                self.next = if self.flags.pass(condition) { target } else { self.next };
             }
             Op::CompareBranch { rn, offset, if_zero } => {
-                if (self.get(rn) == 0) == if_zero {
-                    self.next = self.r[PC].wrapping_add_signed(offset);
-                }
+                let target = self.r[PC].wrapping_add_signed(offset);
+                self.next = if (self.get(rn) == 0) == if_zero { target } else { self.next };
             }
+            Op::Common(op) => return self.common(op),
             Op::BranchLink { offset } => {
                 self.r[LR] = self.next | 1;
                 self.next = self.r[PC].wrapping_add_signed(offset);
@@ -103,7 +102,11 @@ impl Interpreter {
 
     /// The floating point instructions; the first one makes the task a user of the unit.
     fn float(&mut self, op: Op) -> Result<(), Stop> {
-        self.control |= CONTROL_FPCA;
+        if self.control & CONTROL_FPCA == 0 {
+            // A new floating point context starts with the default FPSCR (A2.5.5).
+            self.control |= CONTROL_FPCA;
+            self.fpscr = 0;
+        }
         let s = |core: &Self, register: u8| f32::from_bits(core.s[usize::from(register & 31)]);
         match op {
             Op::FloatBinary { op, sd, sn, sm } => {
@@ -160,9 +163,7 @@ impl Interpreter {
             Operand::Constant(value, CarryOut::Unchanged) => (value, carry),
             Operand::Constant(value, out) => (value, out == CarryOut::Set),
             Operand::Register(rm) => (self.get(rm), carry),
-            Operand::Shifted(rm, kind, amount) => {
-                arithmetic::shift(self.get(rm), kind, amount.into(), carry)
-            }
+            Operand::Shifted(rm, kind, amount) => arithmetic::shift(self.get(rm), kind, amount.into(), carry),
             Operand::ShiftedBy(rm, kind, rs) => {
                 arithmetic::shift(self.get(rm), kind, self.get(rs) & 0xFF, carry)
             }
@@ -219,7 +220,9 @@ impl Interpreter {
         let result = match op {
             Binary::Multiply => n.wrapping_mul(m),
             // Division by zero gives zero (CCR.DIV_0_TRP is clear).
-            Binary::SignedDivide => (n as i32).checked_div(m as i32).map_or(if m == 0 { 0 } else { n }, |q| q as u32),
+            Binary::SignedDivide => {
+                (n as i32).checked_div(m as i32).map_or(if m == 0 { 0 } else { n }, |q| q as u32)
+            }
             Binary::UnsignedDivide => n.checked_div(m).unwrap_or(0),
             // The operands of these stand the other way round.
             Binary::Qadd => self.saturated(i64::from(m as i32) + i64::from(n as i32)),
@@ -233,11 +236,12 @@ impl Interpreter {
                 self.saturated(i64::from(m as i32) - i64::from(twice))
             }
             Binary::Select => {
-                let mask = (0..4).fold(0, |mask, lane| mask | u32::from(self.flags.ge >> lane & 1) * 0xFF << (8 * lane));
+                let mask = (0..4)
+                    .fold(0, |mask, lane| mask | (u32::from(self.flags.ge >> lane & 1) * 0xFF) << (8 * lane));
                 n & mask | m & !mask
             }
             Binary::MultiplyHalves(top_n, top_m) => half(n, top_n).wrapping_mul(half(m, top_m)) as u32,
-            Binary::MultiplyWordHalf(top) => (i64::from(n as i32) * i64::from(half(m, top)) >> 16) as u32,
+            Binary::MultiplyWordHalf(top) => ((i64::from(n as i32) * i64::from(half(m, top))) >> 16) as u32,
             Binary::MultiplyDual { subtract, swap } => {
                 let sum = dual(n, m, subtract, swap);
                 self.flags.q |= i64::from(sum as i32) != sum;
@@ -275,9 +279,8 @@ impl Interpreter {
             Accumulate::Halves(top_n, top_m) => {
                 self.overflowing(i64::from(half(n, top_n)) * i64::from(half(m, top_m)) + i64::from(a as i32))
             }
-            Accumulate::WordHalf(top) => {
-                self.overflowing((i64::from(n as i32) * i64::from(half(m, top)) >> 16) + i64::from(a as i32))
-            }
+            Accumulate::WordHalf(top) => self
+                .overflowing(((i64::from(n as i32) * i64::from(half(m, top))) >> 16) + i64::from(a as i32)),
             Accumulate::Dual { subtract, swap } => {
                 self.overflowing(dual(n, m, subtract, swap) + i64::from(a as i32))
             }

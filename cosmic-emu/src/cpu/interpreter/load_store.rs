@@ -242,5 +242,5 @@ impl Interpreter {
 
 /// Multiple, dual and floating point accesses must be aligned (A3.2.1).
 fn aligned(address: u32, access: Access) -> Result<(), Fault> {
-    if address % 4 == 0 { Ok(()) } else { Err(Fault::Unaligned { access, address }) }
+    if address.is_multiple_of(4) { Ok(()) } else { Err(Fault::Unaligned { access, address }) }
 }

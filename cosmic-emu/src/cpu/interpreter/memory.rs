@@ -103,7 +103,7 @@ impl Memory {
         if !is_io {
             return Err(Fault::Access { access, address });
         }
-        if address % size == 0 { Ok(()) } else { Err(Fault::Unaligned { access, address }) }
+        if address.is_multiple_of(size) { Ok(()) } else { Err(Fault::Unaligned { access, address }) }
     }
 }
 

@@ -8,6 +8,7 @@
 //! With the feature `unicorn` the tests compare it with the Unicorn emulator, instruction by instruction.
 
 mod arithmetic;
+mod common;
 mod decode;
 mod decode_float;
 mod decode_wide;
@@ -89,22 +90,38 @@ impl Flags {
             | (self.ge as u32) << 16
     }
 
-    /// ConditionPassed (A7.3.1).
+    /// ConditionPassed (A7.3.1). Looked up, as a host predicts such branches badly.
     #[inline]
     const fn pass(self, condition: u8) -> bool {
-        let result = match condition >> 1 {
-            0 => self.z,
-            1 => self.c,
-            2 => self.n,
-            3 => self.v,
-            4 => self.c && !self.z,
-            5 => self.n == self.v,
-            6 => self.n == self.v && !self.z,
-            _ => return true,
-        };
-        result != (condition & 1 != 0)
+        let nzcv = (self.n as u16) << 3 | (self.z as u16) << 2 | (self.c as u16) << 1 | self.v as u16;
+        PASSES[(condition & 15) as usize] >> nzcv & 1 != 0
     }
 }
+
+/// For each condition the set of flags NZCV with which it passes.
+const PASSES: [u16; 16] = {
+    let mut passes = [0; 16];
+    let mut at = 0;
+    while at < 256 {
+        let (condition, nzcv) = (at >> 4, at & 15);
+        let (n, z, c, v) = (nzcv & 8 != 0, nzcv & 4 != 0, nzcv & 2 != 0, nzcv & 1 != 0);
+        let positive = match condition >> 1 {
+            0 => z,
+            1 => c,
+            2 => n,
+            3 => v,
+            4 => c && !z,
+            5 => n == v,
+            6 => n == v && !z,
+            _ => true,
+        };
+        if positive != (condition & 1 != 0 && condition != 15) {
+            passes[condition] |= 1 << nzcv;
+        }
+        at += 1;
+    }
+    passes
+};
 
 #[derive(Clone, Copy, Debug)]
 struct Decoded {
@@ -116,7 +133,7 @@ struct Decoded {
 impl Decoded {
     fn new(first: u16, second: u16) -> Self {
         let size = if decode::is_wide(first) { 4 } else { 2 };
-        Self { op: decode::decode(first, second), size, cycles: cycles(first, second) }
+        Self { op: common::specialise(decode::decode(first, second)), size, cycles: cycles(first, second) }
     }
 }
 
@@ -130,8 +147,10 @@ impl Interpreter {
         io: &Rc<RefCell<dyn Io>>,
         pace: &Rc<Pace>,
     ) -> Self {
-        let block =
-            |region: &Region, erased: u8| Block { base: region.base, bytes: vec![erased; region.size as usize] };
+        let block = |region: &Region, erased: u8| Block {
+            base: region.base,
+            bytes: vec![erased; region.size as usize],
+        };
         let mut blocks: Vec<Block> = ram.iter().map(|region| block(region, 0)).collect();
         for (region, content) in rom {
             let mut block = block(region, 0xFF);
@@ -140,7 +159,8 @@ impl Interpreter {
             }
             blocks.push(block);
         }
-        let memory = Memory { blocks, writable: ram.len(), io_regions: io_regions.to_vec(), io: Rc::clone(io) };
+        let memory =
+            Memory { blocks, writable: ram.len(), io_regions: io_regions.to_vec(), io: Rc::clone(io) };
         let (code_base, code_size) = rom.first().map_or((0, 0), |(region, code)| (region.base, code.len()));
         let unknown = Decoded { op: Op::Unknown, size: 0, cycles: 0 };
         Self {
@@ -201,9 +221,7 @@ impl Interpreter {
         } else {
             self.pace.execute(1);
         }
-        if self.next != pc.wrapping_add(size.into()) {
-            self.pace.branch();
-        }
+        self.pace.branch(self.next != pc.wrapping_add(size.into()));
         self.pc = self.next;
         if !outside_it {
             self.advance_it();
@@ -272,8 +290,20 @@ impl Cpu for Interpreter {
         match register {
             Register::R(number) => self.r[usize::from(number & 15)],
             Register::Sp => self.r[SP],
-            Register::Msp => if process { self.other_sp } else { self.r[SP] },
-            Register::Psp => if process { self.r[SP] } else { self.other_sp },
+            Register::Msp => {
+                if process {
+                    self.other_sp
+                } else {
+                    self.r[SP]
+                }
+            }
+            Register::Psp => {
+                if process {
+                    self.r[SP]
+                } else {
+                    self.other_sp
+                }
+            }
             Register::Lr => self.r[LR],
             Register::Pc => self.pc,
             Register::Xpsr => self.xpsr(),
@@ -334,5 +364,7 @@ impl Cpu for Interpreter {
     }
 }
 
+#[cfg(all(test, feature = "unicorn"))]
+mod differential;
 #[cfg(test)]
 mod tests;

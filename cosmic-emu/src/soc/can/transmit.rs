@@ -106,7 +106,8 @@ impl Transmit {
                 status |= 1 << (tsr::TME + n as u32);
             }
         }
-        let pending = || self.mailboxes.iter().enumerate().filter(|(_, mailbox)| mailbox.state != State::Empty);
+        let pending =
+            || self.mailboxes.iter().enumerate().filter(|(_, mailbox)| mailbox.state != State::Empty);
         let lowest = pending().max_by_key(|(n, mailbox)| (mailbox.frame().arbitration(), *n)).map(|(n, _)| n);
         if let Some(lowest) = lowest
             && pending().count() > 1
@@ -176,11 +177,8 @@ impl Mailbox {
         // A length code above 8 means 8 (ISO 11898-1).
         let length = (tdtr & 0xF).min(8) as usize;
         let data = (u64::from(high) << 32 | u64::from(low)).to_le_bytes();
-        let frame = if is_remote {
-            WireFrame::new_remote(id, length)
-        } else {
-            WireFrame::new(id, &data[..length])
-        };
+        let frame =
+            if is_remote { WireFrame::new_remote(id, length) } else { WireFrame::new(id, &data[..length]) };
         frame.unwrap_or_else(|| unreachable!("the length is at most 8"))
     }
 }
