@@ -32,17 +32,19 @@ struct Entry {
 
 /// Up to `N` interests of other nodes; the contract is that of [`crate::membership`].
 ///
-/// Every call takes O(`N`).
+/// Every call takes O(`N`), but `poll` and `next_wakeup` O(1) while no lease has ended.
 #[derive(Clone, Debug)]
 pub struct Interests<const N: usize> {
     entries: [Option<Entry>; N],
     overflows: u16,
+    /// No lease ends before this.
+    first_expiry: Instant,
 }
 
 impl<const N: usize> Interests<N> {
     /// Nothing is known.
     pub const fn new() -> Self {
-        Self { entries: [None; N], overflows: 0 }
+        Self { entries: [None; N], overflows: 0, first_expiry: Instant::FAR_FUTURE }
     }
 
     /// The nodes on `side` of the channel `etag`, with the class and the layout that each uses.
@@ -76,8 +78,10 @@ impl<const N: usize> Interests<N> {
             self.overflows = self.overflows.saturating_add(1);
             return None;
         };
-        let begins = self.nodes(etag, side).next().is_none();
-        *self.entries.get_mut(at)? = Some(Entry { interest, expires_at: now + lease.duration() });
+        let begins = known.is_none() && self.nodes(etag, side).next().is_none();
+        let expires_at = now + lease.duration();
+        *self.entries.get_mut(at)? = Some(Entry { interest, expires_at });
+        self.first_expiry = self.first_expiry.min(expires_at);
         begins.then_some(InterestEvent::Begun { etag, side })
     }
 
@@ -85,24 +89,31 @@ impl<const N: usize> Interests<N> {
     pub fn on_node_left(&mut self, now: Instant, tx_node: TxNode) {
         for entry in self.entries.iter_mut().flatten().filter(|entry| entry.interest.tx_node == tx_node) {
             entry.expires_at = now;
+            self.first_expiry = self.first_expiry.min(now);
         }
     }
 
     /// Interest that has ended; call until it returns `None`.
     pub fn poll(&mut self, now: Instant) -> Option<InterestEvent> {
         // At most as many rounds as there are entries: each removes one.
-        loop {
+        while now >= self.first_expiry {
             let expired = |place: &Option<Entry>| place.is_some_and(|entry| now >= entry.expires_at);
-            let at = self.entries.iter().position(expired)?;
+            let Some(at) = self.entries.iter().position(expired) else {
+                let expiries = self.entries.iter().flatten().map(|entry| entry.expires_at);
+                self.first_expiry = expiries.min().unwrap_or(Instant::FAR_FUTURE);
+                break;
+            };
             if let Some(event) = self.remove(at) {
                 return Some(event);
             }
         }
+        None
     }
 
-    /// When `poll` must be called even if no frame arrives.
+    /// When `poll` must be called even if no frame arrives. A lease that was refreshed may have it called for
+    /// nothing, once.
     pub fn next_wakeup(&self) -> Option<Instant> {
-        self.entries.iter().flatten().map(|entry| entry.expires_at).min()
+        (self.first_expiry < Instant::FAR_FUTURE).then_some(self.first_expiry)
     }
 
     fn remove(&mut self, at: usize) -> Option<InterestEvent> {
@@ -155,6 +166,7 @@ mod tests {
         assert_eq!(interests.poll(at(1900)), None, "one is left");
         assert_eq!(interests.nodes(ETAG, Side::Subscriber).count(), 1);
         assert_eq!(interests.poll(at(3000)), ENDED);
+        assert_eq!(interests.poll(at(3000)), None);
         assert!(!interests.is_wanted(ETAG));
         assert_eq!(interests.next_wakeup(), None);
     }

@@ -26,19 +26,21 @@ struct Member {
 
 /// Up to `N` other nodes; the contract is that of [`crate::membership`].
 ///
-/// Every call takes O(`N`).
+/// Every call takes O(`N`), but `poll` and `next_wakeup` O(1) while nobody is silent.
 #[derive(Clone, Debug)]
 pub struct Members<const N: usize> {
     members: [Option<Member>; N],
     silence: Duration,
     overflows: u16,
+    /// Nobody is silent for too long before this.
+    first_silence: Instant,
 }
 
 impl<const N: usize> Members<N> {
     /// Nobody is known. A node that sends no status for `silence` is taken for dead; that should be several
     /// periods of [`StatusReport`](super::StatusReport).
     pub const fn new(silence: Duration) -> Self {
-        Self { members: [None; N], silence, overflows: 0 }
+        Self { members: [None; N], silence, overflows: 0, first_silence: Instant::FAR_FUTURE }
     }
 
     /// The last status of each node that is alive.
@@ -70,6 +72,7 @@ impl<const N: usize> Members<N> {
             return None;
         };
         let before = self.members.get_mut(at)?.replace(Member { status, heard_at: now });
+        self.first_silence = self.first_silence.min(now + self.silence);
         match before {
             None => Some(MemberEvent::Joined(tx_node)),
             Some(before) => before.has_restarted(now, &status).then_some(MemberEvent::Restarted(tx_node)),
@@ -78,15 +81,23 @@ impl<const N: usize> Members<N> {
 
     /// A node that fell silent; call until it returns `None`.
     pub fn poll(&mut self, now: Instant) -> Option<MemberEvent> {
+        if now < self.first_silence {
+            return None;
+        }
         let silence = self.silence;
         let silent = |place: &Option<Member>| place.is_some_and(|member| now >= member.heard_at + silence);
-        let at = self.members.iter().position(silent)?;
+        let Some(at) = self.members.iter().position(silent) else {
+            let silences = self.members.iter().flatten().map(|member| member.heard_at + silence);
+            self.first_silence = silences.min().unwrap_or(Instant::FAR_FUTURE);
+            return None;
+        };
         self.remove(at).map(MemberEvent::Silent)
     }
 
-    /// When `poll` must be called even if no frame arrives.
+    /// When `poll` must be called even if no frame arrives. A node that was heard since may have it called
+    /// for nothing, once.
     pub fn next_wakeup(&self) -> Option<Instant> {
-        self.members.iter().flatten().map(|member| member.heard_at + self.silence).min()
+        (self.first_silence < Instant::FAR_FUTURE).then_some(self.first_silence)
     }
 
     fn remove(&mut self, at: usize) -> Option<TxNode> {
@@ -126,6 +137,8 @@ mod tests {
         let mut members = Members::<2>::new(Duration::from_secs(3));
         assert_eq!(members.on_frame(at(0), &FIRST.encode()), Some(MemberEvent::Joined(NODE)));
         assert_eq!(members.on_frame(at(1000), &later(1, 1)), None);
+        assert_eq!(members.next_wakeup(), Some(at(3000)), "for nothing");
+        assert_eq!(members.poll(at(3000)), None);
         assert_eq!(members.next_wakeup(), Some(at(4000)));
         assert_eq!(members.poll(at(3999)), None);
         assert_eq!(members.poll(at(4000)), Some(MemberEvent::Silent(NODE)));

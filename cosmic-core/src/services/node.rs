@@ -156,7 +156,9 @@ struct Wanted {
 /// `CHANNELS` as in [`EventHalf`](crate::EventHalf); `DECLARATIONS` is twice that, for both sides of each;
 /// `PEERS` are the other nodes that it keeps track of, and `INTERESTS` what they want and offer.
 ///
-/// Every call is O(`CHANNELS` + `PEERS` + `INTERESTS`), and what the broker needs.
+/// Every call is O(`CHANNELS` + `PEERS` + `INTERESTS`), and what the broker needs; but [`Services::poll`] and
+/// [`Services::next_wakeup`] are O(1) while nothing is to be done, for they are called after each event of
+/// the application, too.
 #[derive(Clone, Debug)]
 pub struct NodeServices<
     const CHANNELS: usize,
@@ -177,6 +179,9 @@ pub struct NodeServices<
     requests: Ring<Request, 4>,
     news: Ring<News, 16>,
     news_dropped: u16,
+    /// Nothing is to be done before this instant, if nothing happens. Any call from outside that changes
+    /// something sets it back to the epoch.
+    idle_until: Instant,
 }
 
 impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const INTERESTS: usize, B: Hosted>
@@ -212,6 +217,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             requests: Ring::new(),
             news: Ring::new(),
             news_dropped: 0,
+            idle_until: Instant::EPOCH,
         })
     }
 
@@ -257,6 +263,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     /// Gives the TxNode back to the broker, for good: the node falls silent.
     pub fn release(&mut self) {
+        self.idle_until = Instant::EPOCH;
         self.configuration.release();
     }
 
@@ -414,6 +421,21 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         self.report.poll(now, self.tx_node()?, &health).map(Request::Send)
     }
 
+    /// When the first of the services has something to do.
+    fn due_at(&self) -> Instant {
+        let report = self.tx_node().map(|_| self.report.next_wakeup());
+        let wakeups = [
+            self.configuration.next_wakeup(),
+            self.binding.next_wakeup(),
+            self.broker.next_wakeup(),
+            self.declarations.next_wakeup(),
+            self.interests.next_wakeup(),
+            self.members.next_wakeup(),
+            report,
+        ];
+        wakeups.into_iter().flatten().fold(self.clock.next_wakeup(), Instant::min)
+    }
+
     fn on_member(&mut self, event: MemberEvent, now: Instant) {
         if let MemberEvent::Left(tx_node) | MemberEvent::Silent(tx_node) = event {
             self.interests.on_node_left(now, tx_node);
@@ -426,6 +448,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
 {
     fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+        self.idle_until = Instant::EPOCH;
         self.configuration.on_frame(received_at, frame);
         match frame.id.etag() {
             Etag::SYNC | Etag::FOLLOW_UP => return self.clock.on_frame(frame, received_at),
@@ -451,10 +474,12 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     }
 
     fn on_sent(&mut self, frame: &Frame, sent_at: Instant) {
+        self.idle_until = Instant::EPOCH;
         self.clock.on_sent(frame, sent_at);
     }
 
     fn declare(&mut self, declaration: &Declaration) -> Result<(), TooMany> {
+        self.idle_until = Instant::EPOCH;
         let &Declaration { subject, etag, class, layout, publishes, subscribes } = declaration;
         let known = |place: &Option<Wanted>| place.is_some_and(|wanted| wanted.subject == subject);
         let at = (self.wanted.iter().position(known))
@@ -478,6 +503,9 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     }
 
     fn poll(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
+        if now < self.idle_until {
+            return None;
+        }
         if let Some(request) = self.requests.pop() {
             return Some(request);
         }
@@ -490,20 +518,13 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         if let Some(event) = self.clock.take_event() {
             self.tell(News::Clock(event));
         }
+        if request.is_none() && self.requests.is_empty() {
+            self.idle_until = self.due_at();
+        }
         request
     }
 
     fn next_wakeup(&self) -> Instant {
-        let report = self.tx_node().map(|_| self.report.next_wakeup());
-        let wakeups = [
-            self.configuration.next_wakeup(),
-            self.binding.next_wakeup(),
-            self.broker.next_wakeup(),
-            self.declarations.next_wakeup(),
-            self.interests.next_wakeup(),
-            self.members.next_wakeup(),
-            report,
-        ];
-        wakeups.into_iter().flatten().fold(self.clock.next_wakeup(), Instant::min)
+        if self.idle_until > Instant::EPOCH { self.idle_until } else { self.due_at() }
     }
 }
