@@ -8,6 +8,7 @@ mod edf;
 mod nodes;
 mod output;
 mod random;
+mod scale;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -29,12 +30,15 @@ enum Experiment {
     Edf(edf::Options),
     /// How far clocks are from the master, and whether they know it.
     Clock(clock::Options),
+    /// How fast a large cluster on a saturated bus is simulated.
+    Scale(scale::Options),
 }
 
 fn main() -> ExitCode {
     let result = match &Arguments::parse().experiment {
         Experiment::Edf(options) => edf::run(options),
         Experiment::Clock(options) => clock::run(options),
+        Experiment::Scale(options) => scale::run(options),
     };
     match result {
         Ok(output::Verdict::Holds) => ExitCode::SUCCESS,
