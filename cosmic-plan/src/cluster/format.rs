@@ -226,6 +226,12 @@ pub fn read(source: &Source, log: &Log) -> ClusterFile {
         foreign: read_all(&table, "foreign", log, read_foreign),
         pool: read_all(&table, "pool", log, read_pool),
     };
+    for (field, count) in [("node", file.node.len()), ("channel", file.channel.len())] {
+        if count == 0 {
+            let help = format!("write at least one [[{field}]]; `cosmic-plan new` shows how");
+            table.problem(field, 0..0, "is missing", help);
+        }
+    }
     table.finish();
     file
 }

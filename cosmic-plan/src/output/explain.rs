@@ -164,6 +164,9 @@ pub fn difference(
             });
         }
     }
+    // What concerns one of them stands together, in the order in which they first appear.
+    let names: Vec<String> = changes.iter().map(|change| change.who.clone()).collect();
+    changes.sort_by_key(|change| names.iter().position(|name| *name == change.who));
     changes
 }
 

@@ -86,7 +86,7 @@ pub struct PoolEffect {
     pub separate: cosmic_core::time::Duration,
     /// The fault hypothesis with the pool.
     pub with_pool: String,
-    /// The fault hypothesis of separate slots.
+    /// The omission degrees of separate slots.
     pub without: String,
 }
 
@@ -106,14 +106,18 @@ pub fn pool_effect(cluster: &Cluster, plan: &Plan, pool: usize) -> Option<PoolEf
         .iter()
         .map(|planned| {
             let name = &cluster.channels[planned.channel].name;
-            format!("{name} up to {} faults", degree(planned))
+            format!("{name} {}", degree(planned))
         })
         .collect();
     Some(PoolEffect {
         shared,
         separate: cosmic_core::time::Duration::from_ticks(slots.iter().map(alone).sum()),
-        with_pool: format!("all {} slots of an occurrence together tolerate {faults} faults", slots.len()),
-        without: format!("each slot by itself tolerates: {}", degrees.join(", ")),
+        with_pool: format!(
+            "{faults} {} in all {} slots of an occurrence together",
+            if faults == 1 { "fault" } else { "faults" },
+            slots.len()
+        ),
+        without: degrees.join(", "),
     })
 }
 
@@ -124,7 +128,7 @@ fn of_pool(cluster: &Cluster, plan: &Plan, pool: usize) -> Value {
             "window_us": as_microseconds(effect.shared),
             "separate_windows_us": as_microseconds(effect.separate),
             "fault_hypothesis": effect.with_pool,
-            "fault_hypothesis_of_separate_slots": effect.without,
+            "omission_degrees_of_separate_slots": effect.without,
         }),
     }
 }

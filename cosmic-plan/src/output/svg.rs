@@ -291,12 +291,15 @@ fn detail(cluster: &Cluster, planned: &PlannedSlot, top: f64) -> Group {
         let centre = x(from) + width / 2.0;
         let ink = if class == "frame" { "label light" } else { "label" };
         let label = text(centre, bar + 27.0, span).set("class", ink).set("text-anchor", "middle");
-        // A text that is longer than its part would run into the next one: it goes below, in steps.
-        let wide = 6.6 * meaning.chars().count() as f64 <= width;
-        let lower = if wide || class == "wait" { 18.0 } else { 36.0 };
-        let meaning = text(centre.min(LEFT + WIDTH - 120.0), bar + height + lower, meaning)
-            .set("class", "small")
-            .set("text-anchor", "middle");
+        // Texts can be longer than their parts: neighbours stand in different lines.
+        let lower = if matches!(class, "wait" | "retry") { 18.0 } else { 36.0 };
+        let (at, anchor) = match class {
+            "wait" => (x(from), "start"),
+            "gap" => (x(to), "end"),
+            _ => (centre, "middle"),
+        };
+        let meaning =
+            text(at, bar + height + lower, meaning).set("class", "small").set("text-anchor", anchor);
         if to > from {
             group = group.add(label).add(meaning);
         }

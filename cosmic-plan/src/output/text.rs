@@ -58,9 +58,9 @@ fn write_calendar(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fmt:
         Method::Empty => "no hard real-time channels",
         Method::Placement => "found by quick placement",
         Method::Search => "found by the complete search",
-        Method::Occurrences => "found by placing single occurrences, within the jitter allowed",
+        Method::Occurrences => "found occurrence by occurrence",
     };
-    writeln!(out, "Calendar: cycle {}, {how}; instants in µs from the cycle's start", show(plan.cycle()))?;
+    writeln!(out, "Calendar: cycle {}, {how}; instants in µs", show(plan.cycle()))?;
     if plan.slots().is_empty() {
         return writeln!(out);
     }
@@ -95,8 +95,8 @@ fn write_calendar(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fmt:
             show(effect.shared),
             show(effect.separate)
         )?;
-        writeln!(out, "    now: {}", effect.with_pool)?;
-        writeln!(out, "    instead of: {}", effect.without)?;
+        writeln!(out, "    now {}", effect.with_pool)?;
+        writeln!(out, "    instead of faults in each slot: {}", effect.without)?;
     }
     writeln!(out)
 }
