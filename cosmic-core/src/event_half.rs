@@ -428,6 +428,10 @@ impl<
                 Ok(None)
             }
             Request::TxNode(tx_node) => {
+                if self.tx_node.is_some_and(|former| Some(former) != tx_node) {
+                    // The frames that wait bear an id that is another node's.
+                    self.etch.expire(now, |outgoing| outgoing.tag != SERVICES);
+                }
                 self.tx_node = tx_node;
                 self.layer.set_tx_node(tx_node);
                 Ok(None)
@@ -436,10 +440,15 @@ impl<
                 if self.layer.bind(subject, etag).is_err() {
                     self.raise(Some(subject), ExceptionKind::BindingRefused, now);
                 }
-                Ok(None)
+                let named = self.layer.look_up(etag).map(|tag| self.etch.rename(tag, etag));
+                Ok(named.flatten())
             }
             Request::Unbound(subject) => {
                 self.layer.unbind(subject);
+                if let Some(tag) = self.layer.tag_of(subject) {
+                    // Under the old etag they would be another channel's.
+                    self.etch.expire(now, |outgoing| outgoing.tag == tag);
+                }
                 Ok(None)
             }
             Request::Exception(subject, kind) => {

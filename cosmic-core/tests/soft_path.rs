@@ -163,6 +163,50 @@ fn recalled_events_are_not_sent() {
 }
 
 #[test]
+fn events_that_wait_go_under_the_new_etag_of_their_channel() {
+    let mut etch = Path::new(MAP);
+    let etag = Etag::BOUND_FIRST;
+    let of_one = |content| {
+        let mut event = soft(1, at(9_000), at(99_000));
+        event.frame.payload = Payload::new(&[content]).unwrap();
+        event
+    };
+    for event in [of_one(1), of_one(2), soft(3, at(9_000), at(99_000))] {
+        let _ = etch.submit_soft(at(0), event).unwrap();
+    }
+    assert_eq!(etch.rename(Tag(1), etag), Some(Command::Withdraw(Mailbox::Soft)));
+    assert_eq!(etch.rename(Tag(1), etag), None, "once is enough");
+    etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(10));
+    for (content, etag) in [(1, etag), (2, etag), (3, Etag::BOUND_LAST)] {
+        let (_, frame) = loaded(etch.poll(at(10)));
+        assert_eq!((frame.payload.as_slice(), frame.id.etag()), (&[content][..], etag));
+        assert!(etch.on_outcome(Mailbox::Soft, Outcome::Sent, at(10)).sent.is_some());
+    }
+}
+
+#[test]
+fn events_expire_with_the_etag_of_their_channel_wherever_they_are() {
+    // In the mailbox, on the way out of it, and in the queue.
+    for withdrawing in [false, true] {
+        let mut etch = Path::new(MAP);
+        let _ = etch.submit_soft(at(0), soft(1, at(9_000), at(99_000))).unwrap();
+        if withdrawing {
+            let _ = etch.submit_soft(at(0), soft(2, at(8_000), at(99_000))).unwrap();
+            assert_eq!(etch.poll(at(0)), Step::Command(Command::Withdraw(Mailbox::Soft)));
+        }
+        let _ = etch.submit_soft(at(0), soft(1, at(9_500), at(99_000))).unwrap();
+        etch.expire(at(5), |outgoing| outgoing.tag == Tag(1));
+        let expired = Exception { tag: Tag(1), kind: ExceptionKind::Expired };
+        if !withdrawing {
+            assert_eq!(etch.poll(at(5)), Step::Command(Command::Withdraw(Mailbox::Soft)));
+        }
+        assert_eq!(etch.poll(at(5)), Step::Exception(expired));
+        assert_eq!(etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(6)).exception, Some(expired));
+        assert_eq!((etch.len(), etch.counters().expired), (usize::from(withdrawing), 2));
+    }
+}
+
+#[test]
 fn the_services_have_places_of_their_own() {
     let mut etch = Path::new(MAP);
     let mut accepted = 0;

@@ -2,7 +2,8 @@
 //!
 //! One subject is asked for at a time; the others wait their turn. An answer counts no matter who asked,
 //! because a subject has one etag on the whole segment. The broker may bind a subject anew, when two
-//! parts of a bus that was cut come together again; then the node is told both etags.
+//! parts of a bus that was cut come together again; then the node is told both etags. If it binds another
+//! subject to an etag of this node, the node drops the etag at once and asks for a new one.
 
 use super::Output;
 use super::halves::{Halves, Supply};
@@ -46,6 +47,13 @@ pub enum BindingEvent {
         old: Etag,
         /// Its etag from now on.
         new: Etag,
+    },
+    /// The etag belongs to another subject; the node asks for another one.
+    Withdrawn {
+        /// The subject.
+        subject: Subject,
+        /// Its etag until now.
+        old: Etag,
     },
     /// The broker has no etag left; if the subject had one, it belongs to another subject now. The node
     /// asks again after [`BindingTiming::refused`].
@@ -200,7 +208,7 @@ impl<const N: usize> Binding<N> {
         if let Some(frame) = self.void.take() {
             return Some(Output::Withdraw(frame));
         }
-        if let Some(event) = self.entries.iter_mut().flatten().find_map(|entry| entry.untold.take()) {
+        if let Some(event) = self.next_event() {
             return Some(Output::Event(event));
         }
         let tx_node = self.tx_node?;
@@ -223,6 +231,14 @@ impl<const N: usize> Binding<N> {
         self.entries.iter().flatten().filter_map(retry).min()
     }
 
+    /// An etag is withdrawn from its old subject before the new one is told of it.
+    fn next_event(&mut self) -> Option<BindingEvent> {
+        let withdrawn = |entry: &Entry| matches!(entry.untold, Some(BindingEvent::Withdrawn { .. }));
+        let first = self.entries.iter().position(|place| place.as_ref().is_some_and(withdrawn));
+        let first = first.and_then(|at| self.entries.get_mut(at)?.as_mut()?.untold.take());
+        first.or_else(|| self.entries.iter_mut().flatten().find_map(|entry| entry.untold.take()))
+    }
+
     fn entry(&mut self, subject: Subject) -> Result<&mut Entry, BindingFull> {
         let known = self.entries.iter().position(|place| place.is_some_and(|entry| entry.subject == subject));
         let at = known.or_else(|| self.entries.iter().position(Option::is_none)).ok_or(BindingFull)?;
@@ -241,6 +257,11 @@ impl<const N: usize> Binding<N> {
                 self.asked = None;
             } else {
                 self.end_request(); // answered already, before ours was sent
+            }
+        }
+        if let Answer::Bound(etag) = supply.answer {
+            for entry in self.entries.iter_mut().flatten().filter(|entry| entry.subject != supply.subject) {
+                entry.lose(etag);
             }
         }
         let until = now + self.jitter.around(self.timing.refused);
@@ -300,6 +321,23 @@ impl<const N: usize> Binding<N> {
 }
 
 impl Entry {
+    /// `etag` belongs to another subject.
+    fn lose(&mut self, etag: Etag) {
+        let subject = self.subject;
+        if self.state != State::Bound(etag) {
+            return;
+        }
+        self.state = State::Wanted;
+        self.untold = match self.untold {
+            // The node knows nothing of this etag.
+            Some(BindingEvent::Bound { .. }) => None,
+            Some(BindingEvent::Rebound { old, .. } | BindingEvent::Withdrawn { old, .. }) => {
+                Some(BindingEvent::Withdrawn { subject, old })
+            }
+            Some(BindingEvent::Refused { .. }) | None => Some(BindingEvent::Withdrawn { subject, old: etag }),
+        };
+    }
+
     fn take(&mut self, answer: Answer, retry_at: Instant) {
         let subject = self.subject;
         match (self.state, answer) {
@@ -310,12 +348,19 @@ impl Entry {
                 self.untold = Some(match self.untold {
                     Some(BindingEvent::Bound { .. }) => BindingEvent::Bound { subject, etag: new },
                     Some(BindingEvent::Rebound { old, .. }) => BindingEvent::Rebound { subject, old, new },
-                    Some(BindingEvent::Refused { .. }) | None => BindingEvent::Rebound { subject, old, new },
+                    _ => BindingEvent::Rebound { subject, old, new },
                 });
             }
             (_, Answer::Bound(etag)) => {
                 self.state = State::Bound(etag);
-                self.untold = Some(BindingEvent::Bound { subject, etag });
+                self.untold = match self.untold {
+                    // It comes back before the node was told that it was gone.
+                    Some(BindingEvent::Withdrawn { old, .. }) if old == etag => None,
+                    Some(BindingEvent::Withdrawn { old, .. }) => {
+                        Some(BindingEvent::Rebound { subject, old, new: etag })
+                    }
+                    _ => Some(BindingEvent::Bound { subject, etag }),
+                };
             }
             (_, Answer::Refused) => {
                 self.state = State::Refused { until: retry_at };

@@ -253,6 +253,13 @@ impl<const N: usize> Subjects<N> {
         self.0.free()
     }
 
+    /// The pair that comes after `before` in the table, or the first one behind the last. O(`N`).
+    pub(super) fn after(&self, before: Option<Etag>) -> Option<(Subject, Etag)> {
+        let from = before.map_or(0, |etag| Self::index(etag) + 1);
+        let (at, subject) = (from..N).chain(0..from.min(N)).find_map(|at| Some((at, self.0.name(at)?)))?;
+        Some((subject, Self::etag(at)?))
+    }
+
     /// The etag of a subject, which it gets now if it has none; `None` if none is left. O(`N`).
     pub(super) fn bind(&mut self, subject: Subject) -> Option<Etag> {
         Self::etag(self.0.assign(subject)?)
@@ -360,5 +367,18 @@ mod tests {
         assert_eq!(after.restore(subject(7), Etag::BOUND_LAST), Err(Conflict::Taken(subject(1))));
         assert_eq!(after.restore(subject(7), Etag::BOUND_FIRST), Err(Conflict::OutOfRange));
         assert_eq!(after.subject_of(Etag::BOUND_LAST), Some(subject(1)));
+    }
+
+    #[test]
+    fn pairs_follow_each_other_in_a_circle() {
+        let mut subjects = Subjects::<4>::new();
+        assert_eq!(subjects.after(None), None);
+        let [first, _, third] = [1, 2, 3].map(|of| (subject(of), subjects.bind(subject(of)).unwrap()));
+        subjects.release(subject(2));
+        assert_eq!(subjects.after(None), Some(first));
+        assert_eq!(subjects.after(Some(first.1)), Some(third));
+        assert_eq!(subjects.after(Some(third.1)), Some(first));
+        // A place that is not in the table, as after a start from another one.
+        assert_eq!(subjects.after(Some(Etag::BOUND_FIRST)), Some(first));
     }
 }

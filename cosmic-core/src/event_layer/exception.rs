@@ -22,7 +22,8 @@ pub struct Exception {
 pub enum ExceptionKind {
     /// Publisher: an event has not been sent by its transmission deadline. It is still sent.
     MissedDeadline,
-    /// Publisher: an event expired before it was sent, and has been discarded.
+    /// Publisher: an event expired before it was sent, and has been discarded; so are events that wait while
+    /// the channel loses its etag, or the node its TxNode.
     ValidityExpired,
     /// Publisher: more faults than the omission degree; a hard real-time event was not sent in its slot.
     OmissionDegreeExceeded,

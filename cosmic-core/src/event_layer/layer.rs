@@ -469,6 +469,11 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         Some(entry.declared.subject)
     }
 
+    /// The number of a subject's channel, if this node has it. O(CHANNELS).
+    pub(crate) fn tag_of(&self, subject: Subject) -> Option<Tag> {
+        self.find(subject).map(|at| Tag(at as u8))
+    }
+
     fn find(&self, subject: Subject) -> Option<usize> {
         let is_it = |place: &Option<Entry>| place.as_ref().is_some_and(|e| e.declared.subject == subject);
         self.channels.iter().position(is_it)

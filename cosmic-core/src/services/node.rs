@@ -320,9 +320,10 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
                 BindingEvent::Rebound { subject, old, new } => {
                     Some(self.on_bound(subject, Some(old), new, now))
                 }
+                BindingEvent::Withdrawn { subject, .. } => Some(self.on_unbound(subject, now)),
                 BindingEvent::Refused { subject } => {
                     self.ask(Request::Exception(Some(subject), ExceptionKind::BindingRefused));
-                    Some(self.on_refused(subject, now))
+                    Some(self.on_unbound(subject, now))
                 }
             },
         }
@@ -344,7 +345,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     }
 
     /// The subject has no etag; if it had one, that is another's now.
-    fn on_refused(&mut self, subject: Subject, now: Instant) -> Request {
+    fn on_unbound(&mut self, subject: Subject, now: Instant) -> Request {
         let of_subject = |wanted: &&mut Wanted| wanted.subject == subject;
         let wanted = self.wanted.iter_mut().flatten().find(of_subject);
         if let Some(old) = wanted.and_then(|wanted| wanted.etag.take()) {

@@ -297,3 +297,27 @@ fn a_subject_is_bound_anew() {
     let claim = supply(tx_node(4), 4, 1, Answer::Bound(new)).map(Output::Send);
     assert_eq!(binding_outputs(&mut client, at(2)), claim);
 }
+
+#[test]
+fn an_etag_that_another_subject_gets_is_dropped_at_once() {
+    let mut client = binding();
+    let bind = |client: &mut Binding<2>, of, etag| {
+        for half in supply(TxNode::BROKER, 77, of, Answer::Bound(etag)) {
+            client.on_frame(at(1), &half);
+        }
+        binding_outputs(client, at(1))
+    };
+    let other = Etag::new(0x3000).unwrap();
+    bind(&mut client, 1, ETAG);
+    bind(&mut client, 2, other);
+    // A subject of which this node knows nothing.
+    let withdrawn = BindingEvent::Withdrawn { subject: subject(1), old: ETAG };
+    assert_eq!(bind(&mut client, 7, ETAG), [Output::Event(withdrawn), Output::Send(get(1))]);
+    assert_eq!(client.etag_of(subject(1)), None);
+    // Its own two subjects: the old one goes before the new one comes.
+    let withdrawn = BindingEvent::Withdrawn { subject: subject(2), old: other };
+    let bound = BindingEvent::Bound { subject: subject(1), etag: other };
+    let [withdrawn, bound] = [withdrawn, bound].map(Output::Event);
+    let expected = [Output::Withdraw(get(1)), withdrawn, bound, Output::Send(get(2))];
+    assert_eq!(bind(&mut client, 1, other), expected);
+}

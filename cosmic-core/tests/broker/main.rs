@@ -264,6 +264,32 @@ fn two_halves_of_a_bus_come_together() {
     }
 }
 
+/// Whatever is lost at whatever moment: the tables agree in the end, while frames are still lost.
+#[test]
+fn halves_of_a_bus_agree_in_the_end_though_frames_are_lost() {
+    for seed in 0..1000 {
+        let mut ether = Ether::new(seed);
+        ether.faults = Faults { lost: 10 * (seed % 7), ..Faults::default() };
+        ether.add(Node::fixed(ether.now, 0xB5, 1, seed).hosting(Nodes::new(), Subjects::new()));
+        ether.add(Node::fixed(ether.now, 0xB0, 2, seed).hosting(Nodes::new(), Subjects::new()));
+        for at in 0..6 {
+            ether.add(Node::asking(ether.now, 0x100 + at, at).with_subjects([2 + at % 3, 1, 12 + at]));
+        }
+        (0..8).for_each(|at| ether.move_to_segment(at, at as u8 % 2));
+        ether.run(SECOND * 2);
+        (0..8).for_each(|at| ether.move_to_segment(at, 0));
+        ether.run(SECOND * 30);
+        assert_eq!(
+            [ether.node(0).role(), ether.node(1).role()],
+            [Role::Standby, Role::Active],
+            "seed {seed}"
+        );
+        assert!(all_configured(&ether), "seed {seed}");
+        assert_ids_differ(&ether);
+        assert_etags_agree(&ether, 20);
+    }
+}
+
 /// All nodes that know a subject have the same etag for it, and no two subjects have one etag.
 fn assert_etags_agree(ether: &Ether, subjects: u64) {
     let mut used = BTreeSet::new();

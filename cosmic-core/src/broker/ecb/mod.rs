@@ -17,6 +17,12 @@
 //! nodes hear. Two nodes with one TxNode find each other, and one of them asks for a new id (see
 //! [`super::Configuration`]).
 //!
+//! # Lost frames
+//! Whatever was lost, all tables agree in the end: with each status the active broker repeats one binding
+//! of its table. A node whose binding differs, or whose etag belongs to another subject, changes over or
+//! asks anew, and a standby corrects its copy. That costs two frames in [`BrokerTiming::status`], and one
+//! round takes as many of these spans as there are subjects.
+//!
 //! # FAMOUSO's broker
 //! It sends no status. It is recognised by its replies, and taken for dead when a request remains
 //! without an answer.
@@ -66,6 +72,8 @@ pub struct Broker<const NODES: usize, const SUBJECTS: usize> {
     /// When to probe again, to compare the table with the nodes, and how often.
     probe_at: Option<Instant>,
     probes: u8,
+    /// The etag of the binding that was repeated last.
+    repeated: Option<Etag>,
     replies: Ring<Frame, REPLIES>,
     events: Ring<BrokerEvent, EVENTS>,
     counters: BrokerCounters,
@@ -91,6 +99,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             restart_at: None,
             probe_at: None,
             probes: 0,
+            repeated: None,
             replies: Ring::new(),
             events: Ring::new(),
             counters: BrokerCounters::ZERO,
@@ -238,6 +247,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     fn poll_active(&mut self, now: Instant, status_at: Instant) {
         if now >= status_at {
             self.send_status(now);
+            self.repeat_a_binding();
         }
         if self.session.has_expired(now, self.timing.search) {
             count(&mut self.counters.searches_given_up);
@@ -455,6 +465,13 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
 
     fn rank_delay(&self) -> Duration {
         times(self.timing.rank_step, self.tx_node.get().into())
+    }
+
+    fn repeat_a_binding(&mut self) {
+        let Some((subject, etag)) = self.subjects.after(self.repeated) else { return };
+        self.repeated = Some(etag);
+        let halves = SupplyEtag::pair(TxNode::BROKER, self.tx_node, subject, Answer::Bound(etag));
+        self.reply(halves.map(|half| half.encode()));
     }
 
     /// Queues all frames, or none of them.

@@ -1,7 +1,7 @@
 //! The event-triggered channel handler: earliest deadline first by the priority field.
 
 use super::lane::{Attended, Departure, Entry, Exception, Lane, Outgoing, RESERVED, Tag};
-use crate::can::{BitRate, Command, Frame, Id, Mailbox, Outcome, Payload, Priority};
+use crate::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority};
 use crate::time::{Duration, Instant};
 
 /// How the remaining time until a deadline becomes a priority.
@@ -208,6 +208,21 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     /// Gives up events that have not been sent. O(SOFT² + NRT²); at most one command for each mailbox.
     pub fn recall(&mut self, which: impl Fn(&Outgoing) -> bool) -> [Option<Command>; 2] {
         [self.soft.recall(&which), self.non_real_time.recall(&which)]
+    }
+
+    /// The channel of this source has another etag. What has not been sent goes under the new one, except a
+    /// frame that is on the wire already. O(SOFT + NRT).
+    pub fn rename(&mut self, tag: Tag, etag: Etag) -> Option<Command> {
+        // The events of a channel are all of one class.
+        let soft = self.soft.rename(tag, etag);
+        let non_real_time = self.non_real_time.rename(tag, etag);
+        soft.or(non_real_time)
+    }
+
+    /// The events that meet the condition expire now; that is reported as for all others. O(SOFT + NRT).
+    pub fn expire(&mut self, now: Instant, which: impl Fn(&Outgoing) -> bool) {
+        self.soft.expire(now, &which);
+        self.non_real_time.expire(now, &which);
     }
 
     /// A mailbox of this path has become empty.

@@ -1,7 +1,7 @@
 //! One class of events on its way to the bus: a queue and the mailbox that its head is in.
 
 use super::queue::Queue;
-use crate::can::{Command, Frame, Mailbox, Outcome};
+use crate::can::{Command, Etag, Frame, Id, Mailbox, Outcome};
 use crate::time::Instant;
 
 /// What the owner calls the source of a frame: its number for a channel, or a part of the protocol.
@@ -208,6 +208,50 @@ impl<const N: usize> Lane<N> {
             }
             _ => None,
         }
+    }
+
+    /// The channel of this source has another etag: what has not been sent goes under the new one, as far
+    /// as it can still be withdrawn. O(N).
+    pub(super) fn rename(&mut self, tag: Tag, etag: Etag) -> Option<Command> {
+        let renamed = |outgoing: &mut Outgoing| {
+            let id = outgoing.frame.id;
+            let old = outgoing.tag == tag && id.etag() != etag;
+            if old {
+                outgoing.frame.id = Id::new(id.priority(), id.tx_node(), etag);
+            }
+            old
+        };
+        for entry in self.queue.iter_mut() {
+            renamed(&mut entry.outgoing);
+        }
+        match &mut self.content {
+            Content::Loaded(loaded) => {
+                if renamed(&mut loaded.entry.outgoing) {
+                    return self.withdraw();
+                }
+            }
+            Content::Withdrawing(loaded, _) => _ = renamed(&mut loaded.entry.outgoing),
+            Content::Empty => {}
+        }
+        None
+    }
+
+    /// What meets the condition expires now. O(N).
+    pub(super) fn expire(&mut self, now: Instant, which: impl Fn(&Outgoing) -> bool) {
+        for entry in self.queue.iter_mut().filter(|entry| which(&entry.outgoing)) {
+            entry.outgoing.expires_at = now;
+        }
+        match &mut self.content {
+            Content::Loaded(loaded) if which(&loaded.entry.outgoing) => {
+                loaded.entry.outgoing.expires_at = now
+            }
+            Content::Withdrawing(loaded, then @ AndThen::Requeue) if which(&loaded.entry.outgoing) => {
+                *then = AndThen::Expire;
+            }
+            Content::Withdrawing(..) | Content::Loaded(_) | Content::Empty => {}
+        }
+        // The next call looks through all of them.
+        self.attention_at = Instant::EPOCH;
     }
 
     /// The mailbox has become empty.
