@@ -174,7 +174,7 @@ impl Time<'_> {
     fn read(&self, table: &Table<'_>, field: &'static str) -> Option<At<u64>> {
         let node = table.node(field)?;
         let span = match (&node.kind, self.unit.and_then(units::unit_exponent)) {
-            (Kind::Number(text, 10), Some(exponent)) => units::parse_decimal(text, exponent),
+            (Kind::Number(text, 10), Some(exponent)) => units::parse_ticks(text, exponent),
             (Kind::Text(text), _) => units::parse_span(text).map(|span| span.as_ticks()),
             _ => None,
         };

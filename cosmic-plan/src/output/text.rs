@@ -66,7 +66,7 @@ fn write_calendar(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fmt:
     }
     writeln!(
         out,
-        "  {:<18} {:<12} {:>9} {:>9} {:>9} {:>9} {:>3}",
+        "  {:<16} {:<12} {:>9} {:>9} {:>9} {:>9} {:>3}",
         "channel", "publisher", "period", "ready", "deadline", "delivery", "k"
     )?;
     for planned in plan.slots() {
@@ -77,8 +77,8 @@ fn write_calendar(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fmt:
         };
         writeln!(
             out,
-            "  {:<18} {:<12} {:>9} {:>9} {:>9} {:>9} {degree:>3}",
-            cut(&cluster.channels[planned.channel].name, 18),
+            "  {:<16} {:<12} {:>9} {:>9} {:>9} {:>9} {degree:>3}",
+            cut(&cluster.channels[planned.channel].name, 16),
             cut(&cluster.nodes[planned.node].name, 12),
             microseconds(slot.period),
             microseconds(slot.phase),
@@ -105,7 +105,7 @@ fn write_proofs(out: &mut String, cluster: &Cluster, assessment: &Assessment) ->
     writeln!(out, "Worst-case latencies in µs")?;
     writeln!(
         out,
-        "  {:<18} {:<12} {:<4} {:>9} {:>10} {:>10}  verdict",
+        "  {:<16} {:<12} {:<4} {:>9} {:>10} {:>10}  verdict",
         "channel", "publisher", "", "period", "bound", "deadline"
     )?;
     let or_dash = |span: Option<cosmic_core::time::Duration>| span.map_or("-".to_owned(), microseconds);
@@ -114,8 +114,8 @@ fn write_proofs(out: &mut String, cluster: &Cluster, assessment: &Assessment) ->
         let proof = &channel.proof;
         writeln!(
             out,
-            "  {:<18} {:<12} {:<4} {:>9} {:>10} {:>10}  {}",
-            cut(&description.name, 18),
+            "  {:<16} {:<12} {:<4} {:>9} {:>10} {:>10}  {}",
+            cut(&description.name, 16),
             cut(&cluster.nodes[channel.node].name, 12),
             description.class.abbreviation(),
             microseconds(description.recurrence.span()),
@@ -127,8 +127,8 @@ fn write_proofs(out: &mut String, cluster: &Cluster, assessment: &Assessment) ->
     for (frame, proof) in cluster.foreign.iter().zip(&assessment.foreign) {
         writeln!(
             out,
-            "  {:<18} {:<12} {:<4} {:>9} {:>10} {:>10}  {}",
-            cut(&frame.name, 18),
+            "  {:<16} {:<12} {:<4} {:>9} {:>10} {:>10}  {}",
+            cut(&frame.name, 16),
             format!("{:#x}", frame.id),
             "-",
             microseconds(frame.period),
@@ -173,7 +173,7 @@ pub fn of_growth(cluster: &Cluster, growth: &[Growth], common: Option<u32>) -> S
             (Some(now), Some(highest)) => format!(", k = {now} up to {highest}"),
             _ => String::new(),
         };
-        let _ = writeln!(out, "  {:<18} period {period}{degree}", cut(&channel.name, 18));
+        let _ = writeln!(out, "  {:<16} period {period}{degree}", cut(&channel.name, 16));
     }
     if let Some(percent) = common {
         let _ = writeln!(out, "  all but HRT together: {percent} % of today's rates");
