@@ -5,6 +5,7 @@
 mod build;
 mod ci;
 mod demo;
+mod experiment;
 mod plan;
 mod qemu;
 mod run;
@@ -37,6 +38,8 @@ enum Task {
     Build(build::Options),
     /// Run the firmware on an emulated cluster and show what each channel did.
     Demo(demo::Options),
+    /// Measure scheduling, clocks and speed on the simulated bus; see docs/experiments.md.
+    Experiment(experiment::Options),
     /// Run all tests: on the host, in the emulated cluster, in QEMU.
     Test(suite::Options),
     /// Print flash and RAM of each image, and the share of the middleware.
@@ -64,6 +67,7 @@ fn perform(task: Task, workspace: &Workspace) -> anyhow::Result<ExitCode> {
         }
         Task::Build(options) => build::task(workspace, &options)?,
         Task::Demo(options) => return demo::task(workspace, &options),
+        Task::Experiment(options) => return experiment::task(workspace, &options),
         Task::Test(options) => return suite::task(workspace, &options),
         Task::Size(options) => size::task(workspace, &options)?,
         Task::Ci => return ci::task(workspace),

@@ -16,6 +16,9 @@ pub struct SyncConfig {
     ///
     /// For stamps that are late by 0..=d on both sides, and quantised by q, this is d + q. The propagation
     /// along the cable (5 ns/m) belongs to it, too.
+    ///
+    /// A receiver accepts a frame in the last but one bit of its end (ISO 11898-1), one bit before the sender
+    /// is done. A driver that stamps then adds one bit time, or that bit time belongs to this bound.
     pub stamp_error: Duration,
     /// How far any oscillator is from its nominal frequency.
     pub max_drift: Rate,

@@ -1,0 +1,32 @@
+//! Runs an experiment on the simulated bus.
+
+use std::env::consts::EXE_SUFFIX;
+use std::process::{Command, ExitCode};
+
+use anyhow::Result;
+use clap::Args;
+
+use crate::run::{self, step};
+use crate::workspace::Workspace;
+
+/// What an experiment is called with.
+#[derive(Args)]
+#[command(disable_help_flag = true)]
+pub(crate) struct Options {
+    /// Name and options of the experiment: `cargo xtask experiment --help` lists them.
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
+    arguments: Vec<String>,
+}
+
+/// Builds and runs it. Its exit code is ours.
+pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode> {
+    let mut program = workspace.cargo();
+    program.args(["build", "--release", "--package", "cosmic-bus", "--bin", "experiment"]);
+    step("building the experiments", || run::run(&mut program))?;
+    // Not by `cargo run`, which would move it to the root of the repository: the files that it is to
+    // write are named from where the user is.
+    let program = workspace.target_dir().join("release").join(format!("experiment{EXE_SUFFIX}"));
+    let status = run::status(Command::new(program).args(&options.arguments))?;
+    // Ended by a signal, it has no code.
+    Ok(status.code().and_then(|code| u8::try_from(code).ok()).map_or(ExitCode::FAILURE, ExitCode::from))
+}
