@@ -1,7 +1,7 @@
 //! A segment as its engineer describes it: nodes, event channels, foreign frames, faults.
 //!
 //! [`Cluster::read`] turns one TOML file into a value that can only be valid, or into everything that
-//! is wrong with the file. What the file may say is in [`format`]; whether a calendar exists for it is
+//! is wrong with the file. What the file may say is in [`format`](mod@format); whether a calendar exists for it is
 //! not asked here.
 
 mod dbc;

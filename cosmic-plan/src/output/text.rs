@@ -105,7 +105,7 @@ fn write_proofs(out: &mut String, cluster: &Cluster, assessment: &Assessment) ->
     writeln!(out, "Worst-case latencies in µs")?;
     writeln!(
         out,
-        "  {:<16} {:<12} {:<4} {:>9} {:>10} {:>10}  verdict",
+        "  {:<16} {:<12} {:<3} {:>9} {:>10} {:>10}  verdict",
         "channel", "publisher", "", "period", "bound", "deadline"
     )?;
     let or_dash = |span: Option<cosmic_core::time::Duration>| span.map_or("-".to_owned(), microseconds);
@@ -114,7 +114,7 @@ fn write_proofs(out: &mut String, cluster: &Cluster, assessment: &Assessment) ->
         let proof = &channel.proof;
         writeln!(
             out,
-            "  {:<16} {:<12} {:<4} {:>9} {:>10} {:>10}  {}",
+            "  {:<16} {:<12} {:<3} {:>9} {:>10} {:>10}  {}",
             cut(&description.name, 16),
             cut(&cluster.nodes[channel.node].name, 12),
             description.class.abbreviation(),
@@ -127,7 +127,7 @@ fn write_proofs(out: &mut String, cluster: &Cluster, assessment: &Assessment) ->
     for (frame, proof) in cluster.foreign.iter().zip(&assessment.foreign) {
         writeln!(
             out,
-            "  {:<16} {:<12} {:<4} {:>9} {:>10} {:>10}  {}",
+            "  {:<16} {:<12} {:<3} {:>9} {:>10} {:>10}  {}",
             cut(&frame.name, 16),
             format!("{:#x}", frame.id),
             "-",
