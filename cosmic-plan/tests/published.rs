@@ -140,3 +140,22 @@ fn messages_without_a_bound_say_so() {
     let summary: Vec<_> = found.iter().map(|f| (f.exact_us, f.verdict)).collect();
     assert_eq!(summary, [(Some(2000.0), "misses"), (None, "misses")]);
 }
+
+#[test]
+fn json_says_the_same_as_toml() {
+    let toml = analyse(
+        "bit_rate = 125_000\ntime_unit = 'ms'\n[errors]\nburst = 1\ninterval = 50\n\
+         [[message]]\nname = 'a'\nid = 0x10\nlength = 8\nperiod = 12.5\njitter = 0.1\n\
+         [[message]]\nname = 'b'\nid = 0x18000010\nlength = 3\nperiod = 20\ndeadline = 30\n",
+    );
+    let json = analyse(
+        r#"{ "bit_rate": "125 kbit/s", "errors": { "burst": 1, "interval": "50 ms" }, "messages": [
+            { "name": "a", "id": 16, "length": 8, "period": "12.5 ms", "jitter": "100 us" },
+            { "name": "b", "id": "0x18000010", "extended": true, "length": 3, "period": "20 ms",
+              "deadline": "30 ms" } ] }"#,
+    );
+    assert_eq!(toml, json);
+    // Beyond the period the sufficient test says nothing.
+    assert_eq!((json[1].sufficient_us, json[1].sufficient_verdict), (None, "unknown"));
+    assert!(json[1].exact_us.is_some());
+}

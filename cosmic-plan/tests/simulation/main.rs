@@ -286,3 +286,65 @@ fn segments_stay_within_their_bounds() {
     assert!(soft.report("soft real-time") > 0.3);
     slow.report("non real-time");
 }
+
+/// Three nodes share a window; faults up to the pool's budget hit its frames, wherever; frames of lower
+/// priority fill the bus, and clocks and tasks are as bad as the segment allows.
+#[test]
+fn a_pool_is_in_time_under_its_shared_budget_of_faults() {
+    let file = include_str!("../../../docs/tutorial/pooled.toml");
+    let cluster = Cluster::read(&Document::new("pooled.toml", file)).unwrap_or_else(|p| panic!("{p}"));
+    let plan = plan(&cluster, &Effort::default()).expect("the tutorial says so");
+    let members: Vec<_> = plan.slots().iter().filter(|slot| slot.pool.is_some()).collect();
+    let (deadline, ready) = (members[0].times.deadline.as_ticks(), members[0].slot.phase.as_ticks());
+    let gap = plan.segment().gap().as_ticks();
+    let mut closest: f64 = 0.0;
+    for seed in 0..400 {
+        let mut rng = rng(9000 + seed);
+        let mut sources: Vec<Source> = members
+            .iter()
+            .enumerate()
+            .map(|(node, member)| {
+                let loaded = ready + rng.random_range(0..=gap);
+                let id = u32::from(member.slot.publisher.get()) << 14 | u32::from(member.slot.etag.get());
+                Source {
+                    node,
+                    mailbox: 0,
+                    class: Class::Fixed { extended: true, id },
+                    bytes: usize::from(member.slot.len),
+                    releases: vec![(loaded, loaded)],
+                    frames: 1,
+                }
+            })
+            .collect();
+        let begin = ready - rng.random_range(0..400_000);
+        sources.push(Source {
+            node: members.len(),
+            mailbox: 2,
+            class: Class::Fixed { extended: true, id: 0x1FFF_FFFF },
+            bytes: 8,
+            releases: vec![(begin, begin)],
+            frames: 40,
+        });
+        // Two faults in frames of the pool: all that it tolerates.
+        let mut faults = FaultModel::none();
+        for member in [rng.random_range(0..members.len()), rng.random_range(0..members.len())] {
+            let slot = &members[member].slot;
+            let raw = u32::from(slot.publisher.get()) << 14 | u32::from(slot.etag.get());
+            let id = embedded_can::ExtendedId::new(raw).expect("29 bits");
+            faults.add_rule(Rule {
+                frames: Filter::exactly(id.into()),
+                skip: 0,
+                count: 1,
+                fault: Fault::Inverted(BitPosition::FromEnd(rng.random_range(0..60))),
+            });
+        }
+        let seen = Bed::new(cluster.segment.bit_rate, faults, sources, 1).run(50_000_000);
+        for seen in &seen[..members.len()] {
+            assert_eq!(seen.count, 1);
+            assert!(seen.from_publication <= deadline, "seed {seed}: {seen:?} beyond {deadline}");
+            closest = closest.max(seen.from_publication as f64 / deadline as f64);
+        }
+    }
+    println!("pool: closest {closest:.3}");
+    assert!(closest > 0.7);
+}

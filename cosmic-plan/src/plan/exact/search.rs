@@ -8,6 +8,7 @@
 //! that there are none: no granularity of time is assumed, and nothing is left out.
 
 use super::difference::{Differences, Mark};
+use super::restart::luby;
 
 /// `x_i - x_j` avoids `(low, up) + n · modulus` for every `n`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -483,17 +484,6 @@ impl Search {
                 }
             }
         }
-    }
-}
-
-/// The sequence 1 1 2 1 1 2 4 ..., with which restarts are optimal up to a constant.
-fn luby(mut at: u64) -> u64 {
-    loop {
-        let power = u64::BITS - at.leading_zeros();
-        if at == (1 << power) - 1 {
-            return 1 << (power - 1);
-        }
-        at -= (1 << (power - 1)) - 1;
     }
 }
 
