@@ -232,6 +232,38 @@ fn a_thousand_messages_and_two_thousand_slots() {
     assert!(started.elapsed() < Duration::from_secs(40), "{:?}", started.elapsed());
 }
 
+#[test]
+fn foreign_frames_come_from_a_list_or_a_dbc_file() {
+    let folder = folder("foreign");
+    let example = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/vehicle.toml");
+    let plain = std::fs::read_to_string(example).expect("it is there");
+    let bound =
+        |report: &serde_json::Value| report["channels"][3]["bound_us"].as_f64().expect("there is one");
+    let without = bound(&json(&run(&["check", example, "--json"])));
+
+    let dbc = "VERSION \"\"\n\nNS_ :\n\nBS_:\n\nBU_: ecu\n\nBO_ 256 Engine: 8 ecu\n\nBO_ 512 Doors: 2 ecu\n\n\
+               BA_DEF_ BO_ \"GenMsgCycleTime\" INT 0 10000;\nBA_DEF_DEF_ \"GenMsgCycleTime\" 0;\n\
+               BA_ \"GenMsgCycleTime\" BO_ 256 10;\n";
+    file(&folder, "car.dbc", dbc);
+    let missing = file(&folder, "missing.toml", &format!("{plain}\n[[foreign]]\ndbc = 'car.dbc'\n"));
+    let refused = run(&["check", &missing]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(text(&refused.stderr).contains("Doors has no GenMsgCycleTime"), "{}", text(&refused.stderr));
+
+    let with = format!("{plain}\n[[foreign]]\ndbc = 'car.dbc'\nperiod = '100 ms'\n");
+    let report = json(&run(&["check", &file(&folder, "with.toml", &with), "--json"]));
+    assert_eq!(report["foreign"].as_array().map(Vec::len), Some(2));
+    // 135 and 75 bits more can be in front of the suspension.
+    assert_eq!(bound(&report), without + 135.0 + 75.0);
+    let list = "\n[[foreign]]\nname = 'Engine'\nid = 256\nlength = 8\nperiod = '10 ms'\n\
+                [[foreign]]\nid = 512\nlength = 2\nperiod = '100 ms'\n";
+    let listed = json(&run(&["check", &file(&folder, "list.toml", &format!("{plain}{list}")), "--json"]));
+    assert_eq!(bound(&listed), bound(&report));
+
+    let urgent = file(&folder, "urgent.toml", &format!("{plain}{}", list.replace("id = 512", "id = 7")));
+    assert!(text(&run(&["check", &urgent]).stderr).contains("would win against hard real-time"));
+}
+
 /// Every `$ cosmic-plan ...` in the tutorial prints what the tutorial says.
 #[test]
 fn the_tutorial_shows_what_is_printed() {

@@ -379,10 +379,15 @@ impl Checker<'_> {
         let name = table.name.as_ref().map_or("", |at| at.value.as_str());
         let period = table.period.as_ref().map(|at| at.value.0);
         if let Some(at) = &table.dbc {
-            return dbc::read(&folder.join(&at.value), period).unwrap_or_else(|(what, help)| {
+            let frames = dbc::read(&folder.join(&at.value), period).unwrap_or_else(|(what, help)| {
                 self.problem(&at.place, "foreign.dbc".to_owned(), what, help);
                 Vec::new()
             });
+            for frame in frames.iter().filter(|frame| beats_hard(frame.id, frame.extended)) {
+                let what = format!("{} would win against hard real-time frames", frame.name);
+                self.problem(&at.place, "foreign.dbc".to_owned(), what, ABOVE_HARD);
+            }
+            return frames;
         }
         let (Some(id), Some(length), Some(period)) = (&table.id, &table.length, period) else {
             let help = "write id, length and period of the frame, or dbc = \"file.dbc\"";
@@ -404,11 +409,9 @@ impl Checker<'_> {
             let what = format!("{} bytes are too many", length.value);
             self.problem(&length.place, format!("foreign.{name}.length"), what, "write at most 8");
         }
-        let first_byte = if extended { id.value >> 21 } else { id.value >> 3 };
-        if first_byte == 0 {
+        if beats_hard(id.value, extended) {
             let what = "it would win against hard real-time frames, which have the priority 0";
-            let help = "choose an identifier from 0x8 (11 bits) or 0x200000 (29 bits) up";
-            self.problem(&id.place, format!("foreign.{name}.id"), what, help);
+            self.problem(&id.place, format!("foreign.{name}.id"), what, ABOVE_HARD);
         }
         let fallback = format!("{:#x}", id.value);
         vec![Foreign {
@@ -468,6 +471,11 @@ fn name_of(name: &Option<At<super::values::Name>>) -> &str {
     name.as_ref().map_or("", |at| &at.value.0)
 }
 
+/// Are the first eight bits those of hard real-time, the priority 0?
+fn beats_hard(id: u32, extended: bool) -> bool {
+    if extended { id >> 21 == 0 } else { id >> 3 == 0 }
+}
+
 fn start_of(place: &Place) -> Place {
     place.start..place.start
 }
@@ -478,6 +486,8 @@ fn gcd(mut a: u64, mut b: u64) -> u64 {
     }
     a
 }
+
+const ABOVE_HARD: &str = "choose identifiers from 0x8 (11 bits) or 0x200000 (29 bits) up";
 
 /// Bytes of the longest fragmented event.
 const LONGEST_EVENT: u16 = 1024;
