@@ -104,7 +104,8 @@ pub(super) fn find(cluster: &Cluster, layout: &Layout, effort: &Effort<'_>) -> C
     // Slots that take little are dropped first, so that a few large ones remain.
     windows.sort_by_key(|at| request.items[*at].window * 1000 / request.items[*at].period);
     kept.extend(windows.into_iter().map(Constraint::Window));
-    let mut minimal = true;
+    // Single occurrences are no constraints that their user could drop one by one.
+    let mut minimal = request.items.iter().all(|item| item.spacing.is_none());
     let mut at = 0;
     while at < kept.len() {
         let mut without = kept.clone();
@@ -197,11 +198,19 @@ fn describe(
     let words = |constraint: &Constraint| match *constraint {
         Constraint::Window(at) => {
             let item = &request.items[at];
-            format!("{}: a window of {} every {}", name(at), span(item.window), span(item.period))
+            let period = layout.owners[at]
+                .slots
+                .first()
+                .map(|(channel, _)| cluster.channels[*channel].recurrence.span());
+            let period = period.map_or_else(|| span(item.period), show);
+            format!("{}: a window of {} every {period}", name(at), span(item.window))
         }
         Constraint::Bounds(at) => {
             let item = &request.items[at];
             let bounds = match item {
+                _ if request.items.iter().any(|item| item.spacing.is_some()) => {
+                    "every occurrence within its period, its wishes and its jitter".to_owned()
+                }
                 _ if item.latest < 0 => "its deadline is shorter than its window".to_owned(),
                 _ => format!("ready from {} to {} of each period", span(item.earliest), span(item.latest)),
             };
@@ -224,5 +233,11 @@ fn describe(
             }
         }
     }
-    Conflict { constraints: kept.iter().map(words).collect(), channels, minimal, reason }
+    let mut constraints: Vec<String> = Vec::new();
+    for constraint in kept.iter().map(words) {
+        if !constraints.contains(&constraint) {
+            constraints.push(constraint);
+        }
+    }
+    Conflict { constraints, channels, minimal, reason }
 }

@@ -48,19 +48,21 @@ impl Layout {
         Self { request: Request { items, links }, owners, cycle }
     }
 
-    /// Every occurrence of the channels that allow jitter by itself; `None` if no channel does.
-    pub(super) fn by_occurrence(&self, cluster: &Cluster) -> Option<Self> {
+    /// Every occurrence of the channels that allow jitter by itself, within that part of it; `None` if no
+    /// channel does.
+    pub(super) fn by_occurrence(&self, cluster: &Cluster, part: i64) -> Option<Self> {
         let mut split = Self { request: Request::default(), owners: Vec::new(), cycle: self.cycle };
         let mut first_of = Vec::new();
         let mut any = false;
         for (item, owner) in self.request.items.iter().zip(&self.owners) {
             let jitter =
                 owner.slots.iter().map(|(channel, _)| ticks(cluster.channels[*channel].jitter)).min();
-            let jitter = jitter.unwrap_or(0);
+            let allowed = jitter.unwrap_or(0);
+            let jitter = allowed / part;
             let linked = self.request.links.iter().any(|link| {
                 [link.first, link.then].iter().any(|at| std::ptr::eq(&self.request.items[*at], item))
             });
-            let turns = if jitter > 0 && !linked { self.cycle / item.period } else { 1 };
+            let turns = if allowed > 0 && !linked { self.cycle / item.period } else { 1 };
             let reference = split.request.items.len();
             first_of.push(reference);
             any |= turns > 1;

@@ -179,20 +179,22 @@ pub fn plan(cluster: &Cluster, effort: &Effort<'_>) -> Result<Plan, NoPlan> {
         let cycle = Duration::from_millis(10);
         return Ok(Plan { segment: cluster.segment, cycle, slots: Vec::new(), method: Method::Empty });
     }
-    let (found, method) = match search(&layout.request, effort) {
+    let strict = match search(&layout.request, effort) {
         exact::Answer::Placed(positions) => return Ok(finish(cluster, &layout, positions)),
-        other => (other, Method::Occurrences),
+        other => other,
     };
-    if let Some(split) = layout.by_occurrence(cluster)
-        && let exact::Answer::Placed(positions) = run_exact(&split.request, effort, Instant::now())
-    {
-        return Ok(split.plan(cluster, &positions, method));
-    }
-    match found {
-        exact::Answer::Impossible => Err(NoPlan::Impossible(conflict::find(cluster, &layout, effort))),
-        _ => {
-            Err(NoPlan::GaveUp { slots: layout.request.items.len(), reserved: layout.request.utilisation() })
+    // With jitter to use, the contradiction must be one of single occurrences.
+    let (last, answer) = match place_occurrences(cluster, &layout, effort) {
+        None => (layout, strict),
+        Some((split, exact::Answer::Placed(positions))) => {
+            return Ok(split.plan(cluster, &positions, Method::Occurrences));
         }
+        Some(other) => other,
+    };
+    let request = &last.request;
+    match answer {
+        exact::Answer::Impossible => Err(NoPlan::Impossible(conflict::find(cluster, &last, effort))),
+        _ => Err(NoPlan::GaveUp { slots: request.items.len(), reserved: request.utilisation() }),
     }
 }
 
@@ -202,9 +204,33 @@ pub fn is_plannable(cluster: &Cluster, effort: &Effort<'_>) -> bool {
     if matches!(search(&layout.request, effort), exact::Answer::Placed(_)) {
         return true;
     }
-    layout.by_occurrence(cluster).is_some_and(|split| {
-        matches!(run_exact(&split.request, effort, Instant::now()), exact::Answer::Placed(_))
-    })
+    matches!(place_occurrences(cluster, &layout, effort), Some((_, exact::Answer::Placed(_))))
+}
+
+/// Places every occurrence by itself, with an eighth of the jitter that is allowed if that suffices, else with
+/// a quarter, half or all of it. `None` if no channel allows any; else the answer, with all of it if none is
+/// found.
+fn place_occurrences(
+    cluster: &Cluster,
+    layout: &Layout,
+    effort: &Effort<'_>,
+) -> Option<(Layout, exact::Answer)> {
+    let mut last = None;
+    for part in [8, 4, 2, 1] {
+        let split = layout.by_occurrence(cluster, part)?;
+        // Less than all of the jitter is for comfort; most of the time is for what decides.
+        let limit = if part == 1 { effort.limit } else { effort.limit / 8 };
+        let answer = match conflict::obvious(&split.request) {
+            Some(_) => exact::Answer::Impossible,
+            None => run_exact(&split.request, &Effort { limit, ..*effort }, Instant::now()),
+        };
+        let placed = matches!(answer, exact::Answer::Placed(_));
+        last = Some((split, answer));
+        if placed {
+            break;
+        }
+    }
+    last
 }
 
 /// The plan with these positions, spread out; or one with others, if soft and non real-time channels fare
