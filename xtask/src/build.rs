@@ -61,9 +61,13 @@ impl Built {
     }
 }
 
-/// Builds all images of the example's firmware.
-pub(crate) fn firmware(workspace: &Workspace, way: &TargetWay) -> Result<Built> {
-    step("building the firmware images", || images(way.cargo(workspace, "build"), "firmware", &[]))
+/// Builds all images of the example's firmware, from the plan in the repository or another one.
+pub(crate) fn firmware(workspace: &Workspace, way: &TargetWay, plan: Option<&Path>) -> Result<Built> {
+    step("building the firmware images", || {
+        let mut command = way.cargo(workspace, "build");
+        command.envs(plan.map(|file| (plan::VARIABLE, file)));
+        images(command, "firmware", &[])
+    })
 }
 
 /// Builds programs of a package by a call of [`TargetWay::cargo`]: all if none is named.

@@ -79,7 +79,7 @@ fn documentation(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 
 /// Warnings about code for the target are errors here.
 fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let mut warnings = build::firmware(workspace, way)?.warnings;
+    let mut warnings = build::firmware(workspace, way, None)?.warnings;
     warnings += build::images(way.cargo(workspace, "build"), qemu::PACKAGE, &[])?.warnings;
     if warnings > 0 {
         bail!("{warnings} warnings about code for the target; see above");
@@ -88,7 +88,7 @@ fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 }
 
 fn sizes(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let sizes = size::measure_all(&build::firmware(workspace, way)?.images)?;
+    let sizes = size::measure_all(&build::firmware(workspace, way, None)?.images)?;
     print!("{}", size::table(&sizes));
     size::check(workspace, &sizes)?;
     Ok(Tally::default())

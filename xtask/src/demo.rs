@@ -1,12 +1,14 @@
 //! Runs the firmware on an emulated cluster.
 
 use std::env::consts::EXE_SUFFIX;
+use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 
 use anyhow::{Context as _, Result};
 use clap::Args;
 
 use crate::build;
+use crate::plan;
 use crate::run::{self, step};
 use crate::setup;
 use crate::workspace::Workspace;
@@ -15,7 +17,8 @@ use crate::workspace::Workspace;
 #[derive(Args)]
 #[command(disable_help_flag = true)]
 pub(crate) struct Options {
-    /// Passed on to the demo: `cargo xtask demo --help` lists them.
+    /// `--cluster FILE` plans another cluster and builds for it; all else is passed on to the demo, and
+    /// `cargo xtask demo --help` lists it.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
     pub(crate) arguments: Vec<String>,
 }
@@ -27,11 +30,14 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
 
 /// Builds the firmware and the demo, starts it, and gives its exit code.
 pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
+    let (cluster, arguments) = take_cluster(arguments)?;
     let way = setup::prepare(&[])?;
-    let built = build::firmware(workspace, &way)?;
+    let plan = cluster.map(|file| plan::make(workspace, &file)).transpose()?;
+    let built = build::firmware(workspace, &way, plan.as_deref())?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut program = workspace.cargo();
     program.args(["build", "--release", "--package", PACKAGE, "--bin", "demo"]);
+    program.envs(plan.map(|file| (plan::VARIABLE, file)));
     step("building the demo", || run::run(&mut program))?;
     // Not by `cargo run`, which would move it to the root of the repository: the files that it is to
     // write are named from where the user is.
@@ -43,8 +49,45 @@ pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
     Ok(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
 }
 
+/// The file behind `--cluster`, and the arguments that are the demo's own.
+fn take_cluster(arguments: &[String]) -> Result<(Option<PathBuf>, Vec<String>)> {
+    let (mut cluster, mut others) = (None, Vec::new());
+    let mut all = arguments.iter();
+    while let Some(argument) = all.next() {
+        if argument == "--cluster" {
+            let file = all.next().context("--cluster wants the file of a cluster behind it")?;
+            cluster = Some(PathBuf::from(file));
+        } else if let Some(file) = argument.strip_prefix("--cluster=") {
+            cluster = Some(PathBuf::from(file));
+        } else {
+            others.push(argument.clone());
+        }
+    }
+    Ok((cluster, others))
+}
+
 /// The package of the emulated cluster.
 pub(crate) const PACKAGE: &str = "cosmic-emu";
 
 /// Its feature that compares its processor core with another emulator, for tests.
 pub(crate) const COMPARISON: &str = "unicorn";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_cluster_is_taken_out_of_the_arguments() {
+        let arguments = |list: &[&str]| list.iter().map(|&text| text.to_owned()).collect::<Vec<_>>();
+        for given in [
+            &["--seed", "2", "--cluster", "a.toml", "--json", "x"][..],
+            &["--seed", "2", "--cluster=a.toml", "--json", "x"],
+        ] {
+            let (cluster, others) = take_cluster(&arguments(given)).unwrap();
+            assert_eq!(cluster, Some(PathBuf::from("a.toml")));
+            assert_eq!(others, ["--seed", "2", "--json", "x"]);
+        }
+        assert!(take_cluster(&arguments(&["--cluster"])).is_err());
+        assert_eq!(take_cluster(&[]).unwrap(), (None, Vec::new()));
+    }
+}

@@ -60,7 +60,7 @@ pub(crate) type Sizes = std::collections::BTreeMap<String, ImageSize>;
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
     let images = if options.files.is_empty() {
         let way = setup::prepare(&[])?;
-        build::firmware(workspace, &way)?.images
+        build::firmware(workspace, &way, None)?.images
     } else {
         options.files.iter().map(|file| (file.display().to_string(), file.clone())).collect()
     };

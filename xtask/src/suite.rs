@@ -98,7 +98,7 @@ pub(crate) fn host(workspace: &Workspace) -> Result<Tally> {
 ///
 /// In the profile of the demo, for speed.
 pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let built = build::firmware(workspace, way)?;
+    let built = build::firmware(workspace, way, None)?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast", "--release", "--package", demo::PACKAGE]);

@@ -152,6 +152,7 @@ fn chance(text: &str) -> Result<Chance, String> {
 const NOTES: &str = "\
 The nodes are the images that are flashed. They start at different instants, and their crystals differ.
 Into DIR go a picture of the bus (bus.svg) and its log (candump.log, for can-utils).
+`cargo xtask demo --cluster FILE` plans the cluster of FILE first, and builds the images for it.
 
 Exit code 0: every hard real-time event within its fault hypothesis was delivered at its instant, and
              every other loss was reported by an exception.

@@ -111,7 +111,7 @@ pub static EXAMPLE: LazyLock<Cluster> = LazyLock::new(|| {
 
 /// What `cosmic-plan` has made of the description of the cluster; the images are built from the same file.
 pub mod plan {
-    include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware/plan/calendar.rs"));
+    include!(env!("COSMIC_PLAN_FILE"));
 }
 
 fn node(name: &'static str, tx_node: TxNode) -> Node {
