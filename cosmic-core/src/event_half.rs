@@ -23,7 +23,7 @@ pub use crate::event_layer::Delivered;
 use crate::event_layer::{
     Accepted, AnnounceError, Attributes, Channel, ChannelCounters, Content, Declared, Event, EventLayer,
     Exception, ExceptionKind, Exceptions, Filter, MessagePublisher, MessageSubscriber, Policy, Publication,
-    PublishError, Published, SubscribeError, Subscription,
+    PublishError, Published, Received, SubscribeError, Subscription,
 };
 use crate::network::fragments::Message;
 use crate::network::hard::{Attach, AttachError, BufferId, Counters, HrtBuffers, Role};
@@ -79,6 +79,8 @@ const EXCEPTIONS: usize = 16;
 ///
 /// `S` are the [services](crate::services) that it takes part in.
 #[derive(Debug)]
+// In this order for the reason that the event layer is in its order.
+#[repr(C)]
 pub struct EventHalf<
     const SLOTS: usize,
     const CHANNELS: usize,
@@ -89,15 +91,15 @@ pub struct EventHalf<
     S = (),
 > {
     calendar: &'static Calendar,
-    tx_node: Option<TxNode>,
+    own: Own,
+    /// Received frames that concern nobody here.
+    foreign: u32,
     layer: EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>,
     etch: Etch<SOFT, NRT>,
     /// What the counters of each HRT message buffer were when they were last looked at.
     seen: [Counters; SLOTS],
     exceptions: Exceptions<EXCEPTIONS>,
     exception_waker: Option<Waker>,
-    /// Received frames that concern nobody here.
-    foreign: u32,
     services: S,
     view: NodeView,
 }
@@ -118,7 +120,7 @@ impl<
         let map = PriorityMap::of(calendar.segment().bit_rate);
         Self {
             calendar,
-            tx_node,
+            own: Own::new(tx_node),
             layer: EventLayer::new(tx_node, map),
             etch: Etch::new(map),
             seen: [Counters::NONE; SLOTS],
@@ -236,21 +238,36 @@ impl<
         event: &Event<C>,
         hard: &mut impl HardAccess<SLOTS>,
     ) -> Result<Option<Command>, PublishError> {
-        let published = self.layer.publish(now, publication, event)?;
-        let (outgoing, submitted) = match published {
+        match self.layer.publish(now, publication, event)? {
             Published::Hard(buffer, payload) => {
                 hard.with(|buffers| buffers.publish(buffer, payload));
-                return Ok(None);
+                Ok(None)
             }
-            Published::Soft(outgoing) => (outgoing, self.etch.submit_soft(now, outgoing)),
-            Published::NonRealTime(outgoing) => (outgoing, self.etch.submit_non_real_time(now, outgoing)),
-        };
+            Published::Soft(outgoing) => {
+                let submitted = self.etch.submit_soft(now, outgoing);
+                self.conclude(now, outgoing, submitted)
+            }
+            Published::NonRealTime(outgoing) => {
+                let submitted = self.etch.submit_non_real_time(now, outgoing);
+                self.conclude(now, outgoing, submitted)
+            }
+        }
+    }
+
+    /// The event has been submitted, or there was no room for it.
+    #[inline]
+    fn conclude(
+        &mut self,
+        now: Instant,
+        outgoing: Outgoing,
+        submitted: Result<Option<Command>, soft::Full>,
+    ) -> Result<Option<Command>, PublishError> {
         let Ok(command) = submitted else {
             self.raise(self.layer.subject(outgoing.tag), ExceptionKind::TransmitQueueFull, now);
             return Err(PublishError::QueueFull);
         };
         if self.layer.is_subscribed(outgoing.tag) {
-            self.deliver_locally(&outgoing, now);
+            self.deliver_locally(outgoing, now);
         }
         Ok(command)
     }
@@ -284,11 +301,17 @@ impl<
 
     /// A frame has arrived, that is not hard real-time. One map look-up, then O(1) for each subscriber of
     /// its channel, or O(EVENTS) for one who wants the earliest deadline first.
-    #[inline]
+    // In the receive task, where it is called once.
+    #[inline(always)]
     pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
-        match self.layer.look_up(frame.id.etag()) {
-            Some(tag) => self.accept(tag, frame, received_at),
-            None => self.reject(frame, received_at),
+        match self.layer.receive(frame, received_at) {
+            Received::Delivered => {}
+            Received::Foreign => return self.reject(frame, received_at),
+            Received::For(tag) => self.deliver(tag, frame, received_at),
+        }
+        if self.is_mine(frame) {
+            // No node hears itself: another one uses this TxNode.
+            self.services.on_frame(frame, received_at);
         }
     }
 
@@ -347,8 +370,8 @@ impl<
         let (delivery, counters, etag, mismatch) = hard.with(|buffers| {
             (buffers.take(buffer), buffers.counters(buffer), buffers.etag(buffer), buffers.is_inhibited())
         });
-        if let Some((delivery, tag)) = delivery.and_then(|it| Some((it, self.layer.look_up(it.etag)?))) {
-            let accepted = self.layer.deliver(tag, &delivery.frame(), now);
+        if let Some((delivery, route)) = delivery.and_then(|it| Some((it, self.layer.look_up(it.etag)?))) {
+            let accepted = self.layer.deliver(route.tag, &delivery.frame(), now);
             self.note(accepted, now);
         }
         let (Some(counters), Some(etag)) = (counters, etag) else { return };
@@ -428,11 +451,11 @@ impl<
                 Ok(None)
             }
             Request::TxNode(tx_node) => {
-                if self.tx_node.is_some_and(|former| Some(former) != tx_node) {
+                if self.own.get().is_some_and(|former| Some(former) != tx_node) {
                     // The frames that wait bear an id that is another node's.
                     self.etch.expire(now, |outgoing| outgoing.tag != SERVICES);
                 }
-                self.tx_node = tx_node;
+                self.own = Own::new(tx_node);
                 self.layer.set_tx_node(tx_node);
                 Ok(None)
             }
@@ -440,7 +463,7 @@ impl<
                 if self.layer.bind(subject, etag).is_err() {
                     self.raise(Some(subject), ExceptionKind::BindingRefused, now);
                 }
-                let named = self.layer.look_up(etag).map(|tag| self.etch.rename(tag, etag));
+                let named = self.layer.look_up(etag).map(|route| self.etch.rename(route.tag, etag));
                 Ok(named.flatten())
             }
             Request::Unbound(subject) => {
@@ -527,7 +550,7 @@ impl<
         hard: &mut impl HardAccess<SLOTS>,
     ) -> Result<Option<BufferId>, AnnounceError> {
         let Attributes::Hard(attributes) = declared.attributes else { return Ok(None) };
-        if role.publishes && self.tx_node.is_none() {
+        if role.publishes && self.own.get().is_none() {
             return Err(AnnounceError::NoTxNode);
         }
         let fits = |slot: &&Slot| {
@@ -536,7 +559,7 @@ impl<
                 && slot.periodic == attributes.periodic
                 && slot.omission_degree == attributes.omission_degree
                 && usize::from(slot.len) >= declared.len
-                && (role.subscribes || Some(slot.publisher) == self.tx_node)
+                && (role.subscribes || self.own.is(slot.publisher))
         };
         let mut buffer = None;
         for slot in self.calendar.slots().iter().filter(fits) {
@@ -561,30 +584,30 @@ impl<
         self.services.declare(&declaration).map_err(|TooMany| AnnounceError::TooManyChannels)
     }
 
-    // Out of line, so that a foreign frame costs no more than the look-up.
-    #[inline(never)]
-    fn accept(&mut self, tag: Tag, frame: &Frame, received_at: Instant) {
-        if Some(frame.id.tx_node()) == self.tx_node {
-            // No node hears itself: another one uses this TxNode.
-            self.services.on_frame(frame, received_at);
-        }
-        let accepted = self.layer.deliver(tag, frame, received_at);
-        self.note(accepted, received_at);
+    #[inline]
+    fn is_mine(&self, frame: &Frame) -> bool {
+        self.own.is(frame.id.tx_node())
     }
 
     #[inline]
     fn reject(&mut self, frame: &Frame, received_at: Instant) {
-        if frame.id.etag().is_reserved() || Some(frame.id.tx_node()) == self.tx_node {
+        if frame.id.etag().is_reserved() || self.is_mine(frame) {
             self.services.on_frame(frame, received_at);
         } else {
             self.foreign = self.foreign.wrapping_add(1);
         }
     }
 
+    #[inline(never)]
+    fn deliver(&mut self, tag: Tag, frame: &Frame, received_at: Instant) {
+        let accepted = self.layer.deliver(tag, frame, received_at);
+        self.note(accepted, received_at);
+    }
+
     /// A publication reaches the subscribers on this node, too, with the priority that its frame would
     /// have now.
     #[inline(never)]
-    fn deliver_locally(&mut self, outgoing: &Outgoing, now: Instant) {
+    fn deliver_locally(&mut self, outgoing: Outgoing, now: Instant) {
         let id = outgoing.frame.id;
         let priority = match id.priority() {
             priority if priority > Priority::SOFT_LEAST_URGENT => priority,
@@ -637,6 +660,30 @@ impl<
                 waker.wake();
             }
         }
+    }
+}
+
+/// The node's TxNode, if it has one, as a number that no other TxNode equals. One compare for each frame.
+#[derive(Clone, Copy, Debug)]
+struct Own(u8);
+
+impl Own {
+    const NONE: Self = Self(u8::MAX);
+
+    const fn new(tx_node: Option<TxNode>) -> Self {
+        match tx_node {
+            Some(tx_node) => Self(tx_node.get()),
+            None => Self::NONE,
+        }
+    }
+
+    const fn get(self) -> Option<TxNode> {
+        TxNode::new(self.0)
+    }
+
+    #[inline]
+    const fn is(self, tx_node: TxNode) -> bool {
+        self.0 == tx_node.get()
     }
 }
 

@@ -31,9 +31,17 @@ pub struct Count {
 /// What is not used again afterwards, and what is known before, may be optimised away: pass values through
 /// [`core::hint::black_box`].
 pub fn instructions<F: FnMut()>(mut code: F) -> Count {
-    let code = series(&mut code);
-    let nothing = series(&mut || ());
-    Count { instructions: code.instructions - nothing.instructions, exact: code.exact && nothing.exact }
+    series_of_two(|phase| ticks(&mut code, phase))
+}
+
+/// As [`instructions`], for code that changes what it works on: each run has an item of its own. Handing
+/// the item over is not counted, but for the two loads with which the code gets at it.
+pub fn each<T>(items: &mut [T; RUNS as usize], mut code: impl FnMut(&mut T)) -> Count {
+    let mut fresh = items.iter_mut();
+    series_of_two(|phase| match fresh.next() {
+        Some(item) => ticks(&mut || code(item), phase),
+        None => 0,
+    })
 }
 
 /// How often [`instructions`] runs the code.
@@ -42,9 +50,16 @@ pub const RUNS: u32 = 2 * INSTRUCTIONS_PER_TICK;
 /// A tick of 25 MHz is five times 8 ns.
 const INSTRUCTIONS_PER_TICK: u32 = 5;
 
-fn series<F: FnMut()>(code: &mut F) -> Count {
+/// `run` runs the code once, from the phase that it is given, and says how many ticks that took.
+fn series_of_two(run: impl FnMut(u32) -> u32) -> Count {
+    let code = series(run);
+    let nothing = series(|phase| ticks(&mut || (), phase));
+    Count { instructions: code.instructions - nothing.instructions, exact: code.exact && nothing.exact }
+}
+
+fn series(mut run: impl FnMut(u32) -> u32) -> Count {
     let runs: [[u32; INSTRUCTIONS_PER_TICK as usize]; 2] = cortex_m::interrupt::free(|_| {
-        core::array::from_fn(|_| core::array::from_fn(|phase| ticks(code, phase as u32)))
+        core::array::from_fn(|_| core::array::from_fn(|phase| run(phase as u32)))
     });
     let [first, second] = runs.map(|ticks| ticks.iter().sum::<u32>());
     let fewest = runs.as_flattened().iter().min().unwrap_or(&0);

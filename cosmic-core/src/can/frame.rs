@@ -5,16 +5,53 @@ use super::Id;
 /// What a frame carries: 0..=8 bytes. Bytes behind the length are zero.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+// Copied in words, as a controller's data registers want them, not in bytes.
+#[repr(C, align(4))]
 pub struct Payload {
     bytes: [u8; Self::MAX_LEN],
-    len: u8,
+    len: Len,
+}
+
+/// As an enum, so that the compiler knows that no length is beyond the bytes, and that an `Option` of a
+/// payload is no larger than a payload.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(u8)]
+enum Len {
+    L0,
+    L1,
+    L2,
+    L3,
+    L4,
+    L5,
+    L6,
+    L7,
+    L8,
+}
+
+impl Len {
+    /// At most eight.
+    #[inline]
+    const fn clamped(len: usize) -> Self {
+        match len {
+            0 => Self::L0,
+            1 => Self::L1,
+            2 => Self::L2,
+            3 => Self::L3,
+            4 => Self::L4,
+            5 => Self::L5,
+            6 => Self::L6,
+            7 => Self::L7,
+            _ => Self::L8,
+        }
+    }
 }
 
 impl Payload {
     /// The most bytes that a frame carries.
     pub const MAX_LEN: usize = 8;
     /// No bytes.
-    pub const EMPTY: Self = Self { bytes: [0; Self::MAX_LEN], len: 0 };
+    pub const EMPTY: Self = Self { bytes: [0; Self::MAX_LEN], len: Len::L0 };
 
     /// A copy of `bytes`; `None` if there are more than eight.
     pub const fn new(bytes: &[u8]) -> Option<Self> {
@@ -27,14 +64,14 @@ impl Payload {
             payload.bytes[at] = bytes[at];
             at += 1;
         }
-        payload.len = bytes.len() as u8;
+        payload.len = Len::clamped(bytes.len());
         Some(payload)
     }
 
     /// All eight bytes.
     #[inline]
     pub const fn full(bytes: [u8; Self::MAX_LEN]) -> Self {
-        Self { bytes, len: Self::MAX_LEN as u8 }
+        Self { bytes, len: Len::L8 }
     }
 
     /// The first `len` (at most eight) of the bytes, as a controller's data registers give them.
@@ -43,14 +80,14 @@ impl Payload {
         let len = if len > Self::MAX_LEN { Self::MAX_LEN } else { len };
         let kept = u64::from_le_bytes(bytes);
         let kept = if len == Self::MAX_LEN { kept } else { kept & ((1 << (len * 8)) - 1) };
-        Self { bytes: kept.to_le_bytes(), len: len as u8 }
+        Self { bytes: kept.to_le_bytes(), len: Len::clamped(len) }
     }
 
     /// The bytes.
     #[inline]
     pub fn as_slice(&self) -> &[u8] {
-        // The length is at most eight by construction; `min` keeps a panic path out of the image.
-        &self.bytes[..usize::from(self.len).min(Self::MAX_LEN)]
+        // The length is at most eight by construction; `min` says so where the compiler is not told.
+        &self.bytes[..self.len().min(Self::MAX_LEN)]
     }
 
     /// All eight bytes, zero behind the length, as a controller's data registers want them.
@@ -68,7 +105,7 @@ impl Payload {
     /// Are there none?
     #[inline]
     pub const fn is_empty(&self) -> bool {
-        self.len == 0
+        matches!(self.len, Len::L0)
     }
 }
 

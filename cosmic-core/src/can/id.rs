@@ -162,6 +162,13 @@ impl Id {
         Priority((self.0 >> Self::PRIORITY_SHIFT) as u8)
     }
 
+    /// This identifier with another priority.
+    #[inline]
+    pub const fn with_priority(self, priority: Priority) -> Self {
+        let rest = self.0 & ((1 << Self::PRIORITY_SHIFT) - 1);
+        Self((priority.0 as u32) << Self::PRIORITY_SHIFT | rest)
+    }
+
     /// The sender.
     #[inline]
     pub const fn tx_node(self) -> TxNode {
@@ -186,6 +193,7 @@ mod tests {
         assert_eq!(id.priority(), Priority::CONFIGURATION);
         assert_eq!(id.tx_node(), TxNode::BROKER);
         assert_eq!(id.etag(), Etag::SUPPLY_ETAG);
+        assert_eq!(id.with_priority(Priority::HARD).raw(), 0x001F_C004);
     }
 
     #[test]

@@ -63,6 +63,8 @@ pub struct NonRealTimeAttributes {
 /// The quality of a channel, by class.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+// Left to itself, the compiler tells the classes apart by values of 64 bits.
+#[repr(u8)]
 pub enum Attributes {
     /// HRTEC.
     Hard(HardAttributes),

@@ -4,7 +4,7 @@ use super::attributes::{Attributes, HardAttributes, NonRealTimeAttributes, SoftA
 use super::content::Content;
 use super::filter::Filter;
 use super::pool::List;
-use crate::can::Etag;
+use crate::can::{Etag, Id, Priority, TxNode};
 use crate::network::hard::BufferId;
 use crate::network::soft::Tag;
 use crate::protocol::LayoutHash;
@@ -114,6 +114,8 @@ pub struct Publication<C> {
 #[derive(Debug)]
 pub struct Subscription<C> {
     pub(super) index: u8,
+    /// Do its events carry attributes of context?
+    pub(super) context: bool,
     content: PhantomData<fn() -> C>,
 }
 
@@ -128,8 +130,8 @@ impl<C> Publication<C> {
 }
 
 impl<C> Subscription<C> {
-    pub(super) const fn new(index: u8) -> Self {
-        Self { index, content: PhantomData }
+    pub(super) const fn new(index: u8, context: bool) -> Self {
+        Self { index, context, content: PhantomData }
     }
 }
 
@@ -183,12 +185,36 @@ pub(super) const NONE: u8 = u8::MAX;
 pub(super) struct Entry {
     pub(super) declared: Declared,
     pub(super) etag: Option<Etag>,
+    /// What the frames of its events are called.
+    pub(super) outlet: Outlet,
     pub(super) announcements: u8,
     pub(super) subscriptions: u8,
     pub(super) first_subscription: u8,
     /// The HRT-MB through which this node publishes.
     pub(super) buffer: Option<BufferId>,
     pub(super) counters: ChannelCounters,
+}
+
+/// The identifier of the frames that this node publishes on a channel, but for the priority; or nothing, as
+/// long as it may not publish.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Outlet(u32);
+
+impl Outlet {
+    pub(super) const CLOSED: Self = Self(u32::MAX);
+
+    pub(super) const fn new(tx_node: TxNode, etag: Etag) -> Self {
+        Self(Id::new(Priority::HARD, tx_node, etag).raw())
+    }
+
+    /// With this priority.
+    #[inline]
+    pub(super) const fn id(self, priority: Priority) -> Option<Id> {
+        match Id::from_raw(self.0) {
+            Some(id) => Some(id.with_priority(priority)),
+            None => None,
+        }
+    }
 }
 
 /// What happened on a channel at this node. All counts wrap.
@@ -213,15 +239,81 @@ pub struct ChannelCounters {
     pub malformed: u32,
 }
 
+/// What a received frame leads to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Route {
+    /// The channel.
+    pub(crate) tag: Tag,
+    /// Its only subscriber; [`NONE`] if there is none, or more than one, or the channel has context.
+    pub(super) only: u8,
+}
+
+impl Route {
+    /// The bits of its code.
+    pub(super) const BITS: u32 = 16;
+
+    #[inline]
+    pub(super) const fn decode(code: u32) -> Self {
+        Self { tag: Tag((code >> 8) as u8), only: code as u8 }
+    }
+
+    pub(super) const fn encode(self) -> u32 {
+        (self.tag.0 as u32) << 8 | self.only as u32
+    }
+}
+
+/// A subscription, or a place for one.
 #[derive(Debug)]
 pub(super) struct Subscriber {
+    /// [`NONE`]: the place is vacant.
     pub(super) channel: u8,
-    /// Do its events carry attributes of context?
-    pub(super) context: bool,
     /// The next subscription to the same channel.
     pub(super) next: u8,
+    /// As long as fewer than this wait, an event needs no closer look: the subscriber takes every one,
+    /// first in first out, and nobody is to be woken.
+    pub(super) takes_any: u8,
     pub(super) filter: Filter,
     pub(super) policy: Policy,
     pub(super) list: List,
     pub(super) waker: Option<Waker>,
+    /// Events put into the queue.
+    pub(super) delivered: u32,
+}
+
+impl Subscriber {
+    pub(super) const VACANT: Self = Self {
+        channel: NONE,
+        next: NONE,
+        takes_any: 0,
+        filter: Filter::ALL,
+        policy: Policy::Latest,
+        list: List::new(),
+        waker: None,
+        delivered: 0,
+    };
+
+    pub(super) fn new(channel: u8, next: u8, filter: Filter, policy: Policy) -> Self {
+        let mut new = Self { channel, next, filter, policy, ..Self::VACANT };
+        new.set_waker(None);
+        new
+    }
+
+    pub(super) const fn is_vacant(&self) -> bool {
+        self.channel == NONE
+    }
+
+    pub(super) fn set_waker(&mut self, waker: Option<Waker>) {
+        self.takes_any = match self.policy {
+            Policy::Fifo(depth) if waker.is_none() && self.filter == Filter::ALL => depth.get(),
+            _ => 0,
+        };
+        self.waker = waker;
+    }
+
+    pub(super) fn wake(&mut self) {
+        if let Some(waker) = self.waker.take() {
+            self.set_waker(None);
+            waker.wake();
+        }
+    }
 }

@@ -190,35 +190,30 @@ fn len_of(presence: u8) -> usize {
 pub struct Filter {
     mask: u8,
     expected: u8,
-    range: Option<Range>,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct Range {
-    attribute: Attribute,
+    /// Whose value is in the range, if there is one.
+    ranged: Option<Attribute>,
     least: u32,
     most: u32,
 }
 
 impl Filter {
     /// All events.
-    pub const ALL: Self = Self { mask: 0, expected: 0, range: None };
+    pub const ALL: Self = Self { mask: 0, expected: 0, ranged: None, least: 0, most: 0 };
 
     /// Events that carry all of these attributes, and perhaps more.
     pub const fn at_least(attributes: &[Attribute]) -> Self {
         let mask = mask_of(attributes);
-        Self { mask, expected: mask, range: None }
+        Self { mask, expected: mask, ..Self::ALL }
     }
 
     /// Events that carry none but these attributes, and perhaps not all of them.
     pub const fn at_most(attributes: &[Attribute]) -> Self {
-        Self { mask: !mask_of(attributes), expected: 0, range: None }
+        Self { mask: !mask_of(attributes), ..Self::ALL }
     }
 
     /// Of those, the events that carry the attribute with a value from `least` to `most`.
     pub const fn with_range(self, attribute: Attribute, least: u32, most: u32) -> Self {
-        Self { range: Some(Range { attribute, least, most }), ..self }
+        Self { ranged: Some(attribute), least, most, ..self }
     }
 
     /// Of those, the events that carry the attribute with this value.
@@ -230,8 +225,8 @@ impl Filter {
     #[inline]
     pub fn matches(&self, context: &Context) -> bool {
         context.presence & self.mask == self.expected
-            && self.range.is_none_or(|range| {
-                context.get(range.attribute).is_some_and(|value| (range.least..=range.most).contains(&value))
+            && self.ranged.is_none_or(|attribute| {
+                context.get(attribute).is_some_and(|value| (self.least..=self.most).contains(&value))
             })
     }
 }

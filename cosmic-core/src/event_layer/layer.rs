@@ -3,12 +3,13 @@
 
 use super::attributes::Attributes;
 use super::channel::{
-    Channel, ChannelCounters, Declared, Entry, NONE, Policy, Publication, Subscriber, Subscription,
+    Channel, ChannelCounters, Declared, Entry, NONE, Outlet, Policy, Publication, Route, Subscriber,
+    Subscription,
 };
 use super::content::Content;
 use super::filter::{Context, Filter};
-use super::pool::{List, Pool, PoolFull, Waiting};
-use crate::can::{Etag, Frame, Id, Payload, Priority, TxNode};
+use super::pool::{Pool, PoolFull, Waiting};
+use crate::can::{Etag, Frame, Payload, Priority, TxNode};
 use crate::network::hard::BufferId;
 use crate::network::id_map::IdMap;
 use crate::network::soft::{Outgoing, PriorityMap, Tag};
@@ -137,13 +138,27 @@ pub enum Published {
 /// The channels, subscriptions and waiting events of a node: room for `CHANNELS` (a power of two),
 /// `SUBSCRIPTIONS`, and `EVENTS` in all queues together.
 #[derive(Debug)]
+// In this order, what every frame needs is near the start, where an instruction reaches it without a
+// second one for its address.
+#[repr(C)]
 pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize> {
     tx_node: Option<TxNode>,
     map: PriorityMap,
-    channels: [Option<Entry>; CHANNELS],
-    by_etag: IdMap<CHANNELS>,
-    subscribers: [Option<Subscriber>; SUBSCRIPTIONS],
+    by_etag: IdMap<{ Route::BITS }, CHANNELS>,
     pool: Pool<EVENTS>,
+    subscribers: [Subscriber; SUBSCRIPTIONS],
+    channels: [Option<Entry>; CHANNELS],
+}
+
+/// What a received frame is.
+#[derive(Clone, Copy, Debug)]
+#[must_use]
+pub(crate) enum Received {
+    /// It belongs to no channel that is known here.
+    Foreign,
+    Delivered,
+    /// It is still to be delivered.
+    For(Tag),
 }
 
 /// What happened to a frame that was offered to the layer.
@@ -172,7 +187,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             map,
             channels: [const { None }; CHANNELS],
             by_etag: IdMap::new(),
-            subscribers: [const { None }; SUBSCRIPTIONS],
+            subscribers: [Subscriber::VACANT; SUBSCRIPTIONS],
             pool: Pool::new(),
         }
     }
@@ -180,6 +195,9 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     /// The node has been given its TxNode, or lost it.
     pub fn set_tx_node(&mut self, tx_node: Option<TxNode>) {
         self.tx_node = tx_node;
+        for at in 0..CHANNELS {
+            self.update(at as u8);
+        }
     }
 
     /// Announces a channel: from now on this node may publish on it. Several announcements of a channel
@@ -192,6 +210,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if let Some(entry) = self.entry_mut(at) {
             entry.announcements = entry.announcements.saturating_add(1);
         }
+        self.update(at);
         Ok(Publication::new(at))
     }
 
@@ -209,7 +228,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         filter: Filter,
         policy: Policy,
     ) -> Result<Subscription<C>, SubscribeError> {
-        let index = (self.subscribers.iter().position(Option::is_none))
+        let index = (self.subscribers.iter().position(Subscriber::is_vacant))
             .ok_or(SubscribeError::TooManySubscriptions)?;
         let at = self.enter(&channel.declared).map_err(SubscribeError::Channel)?;
         let Some(entry) = self.entry_mut(at) else {
@@ -218,16 +237,9 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let next = entry.first_subscription;
         entry.first_subscription = index as u8;
         entry.subscriptions = entry.subscriptions.saturating_add(1);
-        self.subscribers[index] = Some(Subscriber {
-            channel: at,
-            context: channel.declared.context,
-            next,
-            filter,
-            policy,
-            list: List::new(),
-            waker: None,
-        });
-        Ok(Subscription::new(index as u8))
+        self.subscribers[index] = Subscriber::new(at, next, filter, policy);
+        self.update(at);
+        Ok(Subscription::new(index as u8, channel.declared.context))
     }
 
     /// Gives up an announcement. Says whether it was the last one of its channel, and with which buffer.
@@ -238,6 +250,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             return None;
         }
         let buffer = entry.buffer.take();
+        self.update(publication.channel);
         self.forget_unused(publication.channel);
         Some(buffer)
     }
@@ -246,21 +259,22 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     /// subscriber here. O(SUBSCRIPTIONS + EVENTS).
     pub(crate) fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) -> Option<Declared> {
         let index = subscription.index;
-        let mut gone = self.subscribers.get_mut(usize::from(index))?.take()?;
+        let place = self.subscribers.get_mut(usize::from(index)).filter(|place| !place.is_vacant())?;
+        let mut gone = core::mem::replace(place, Subscriber::VACANT);
         gone.list.clear(&mut self.pool);
         let entry = self.channels.get_mut(usize::from(gone.channel))?.as_mut()?;
         if entry.first_subscription == index {
             entry.first_subscription = gone.next;
         } else {
-            let before = |place: &&mut Option<Subscriber>| {
-                place.as_ref().is_some_and(|s| s.channel == gone.channel && s.next == index)
-            };
-            if let Some(Some(before)) = self.subscribers.iter_mut().find(before) {
+            let is_before = |other: &&mut Subscriber| other.channel == gone.channel && other.next == index;
+            if let Some(before) = self.subscribers.iter_mut().find(is_before) {
                 before.next = gone.next;
             }
         }
         entry.subscriptions = entry.subscriptions.saturating_sub(1);
+        entry.counters.delivered = entry.counters.delivered.wrapping_add(gone.delivered);
         let last = (entry.subscriptions == 0).then_some(entry.declared);
+        self.update(gone.channel);
         self.forget_unused(gone.channel);
         last
     }
@@ -273,11 +287,11 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         publication: &Publication<C>,
         event: &Event<C>,
     ) -> Result<Published, PublishError> {
-        let tx_node = self.tx_node.ok_or(PublishError::NotBound)?;
         let at = publication.channel;
-        let entry = self.entry_mut(at).filter(|entry| entry.announcements > 0);
-        let entry = entry.ok_or(PublishError::NotAnnounced)?;
-        let etag = entry.etag.ok_or(PublishError::NotBound)?;
+        let Some(Some(entry)) = self.channels.get_mut(usize::from(at)) else {
+            return Err(PublishError::NotAnnounced);
+        };
+        let Some(id) = entry.outlet.id(Priority::SOFT_MOST_URGENT) else { return Err(entry.why_closed()) };
         let mut bytes = [0; Payload::MAX_LEN];
         event.content.encode(bytes.get_mut(..C::LEN).ok_or(PublishError::TooLong)?);
         let mut payload = Payload::truncated(bytes, event.content.len());
@@ -296,7 +310,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             Attributes::Soft(soft) => {
                 let deadline = event.deadline.unwrap_or(now + soft.deadline);
                 let expires_at = event.expires_at.unwrap_or(now + soft.validity).max(deadline);
-                let frame = Frame::new(Id::new(Priority::SOFT_MOST_URGENT, tx_node, etag), payload);
+                let frame = Frame::new(id, payload);
                 check_deadline(now, deadline, event.expires_at)?;
                 Published::Soft(Outgoing { tag: Tag(at), frame, deadline, expires_at })
             }
@@ -304,7 +318,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
                 let deadline = event.deadline.unwrap_or(Instant::FAR_FUTURE);
                 let validity = quality.validity.map_or(Instant::FAR_FUTURE, |validity| now + validity);
                 let expires_at = event.expires_at.unwrap_or(validity);
-                let frame = Frame::new(Id::new(quality.importance.priority(), tx_node, etag), payload);
+                let frame = Frame::new(id.with_priority(quality.importance.priority()), payload);
                 check_deadline(now, deadline.min(expires_at), event.expires_at)?;
                 Published::NonRealTime(Outgoing { tag: Tag(at), frame, deadline, expires_at })
             }
@@ -313,54 +327,63 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         Ok(published)
     }
 
-    /// The number of the channel with this etag, if there is one here. One map look-up.
+    /// Where a frame with this etag goes, if that is anywhere here. One map look-up.
     #[inline]
-    pub(crate) fn look_up(&self, etag: Etag) -> Option<Tag> {
-        self.by_etag.get(u32::from(etag.get())).map(Tag)
+    pub(crate) fn look_up(&self, etag: Etag) -> Option<Route> {
+        self.by_etag.get(etag.get().into()).map(Route::decode)
+    }
+
+    /// A frame has arrived. It is delivered here, if that can be done without a closer look; the route
+    /// is for [`deliver`](Self::deliver). O(1).
+    #[inline]
+    pub(crate) fn receive(&mut self, frame: &Frame, received_at: Instant) -> Received {
+        let Some(route) = self.look_up(frame.id.etag()) else { return Received::Foreign };
+        let Some(subscriber) = self.subscribers.get_mut(usize::from(route.only)) else {
+            return Received::For(route.tag);
+        };
+        let list = &mut subscriber.list;
+        if list.len() >= subscriber.takes_any || list.push(&mut self.pool, frame, received_at).is_err() {
+            return Received::For(route.tag);
+        }
+        subscriber.delivered = subscriber.delivered.wrapping_add(1);
+        Received::Delivered
     }
 
     /// Gives an event to the subscribers of its channel: O(1) for each, or O(length) of the queue of one
     /// who wants the earliest deadline first.
-    #[inline]
+    #[inline(never)]
     pub(crate) fn deliver(&mut self, tag: Tag, frame: &Frame, received_at: Instant) -> Accepted {
-        let event = Waiting {
-            received_at,
-            payload: frame.payload,
-            publisher: frame.id.tx_node(),
-            priority: frame.id.priority(),
-        };
         let Some(Some(entry)) = self.channels.get_mut(usize::from(tag.0)) else { return Accepted::Foreign };
         let mut next = entry.first_subscription;
         if next == NONE {
             return Accepted::Foreign;
         }
+        let counters = &mut entry.counters;
         let mut context = Context::EMPTY;
         if entry.declared.context {
             let Some((carried, _)) = Context::split(&frame.payload) else {
-                entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
+                counters.malformed = counters.malformed.wrapping_add(1);
                 return Accepted::Malformed(entry.declared.subject);
             };
             context = carried;
         }
         let mut accepted = Accepted::Delivered;
-        while let Some(Some(subscriber)) = self.subscribers.get_mut(usize::from(next)) {
+        while let Some(subscriber) = self.subscribers.get_mut(usize::from(next)) {
             next = subscriber.next;
             if !subscriber.filter.matches(&context) {
-                entry.counters.filtered = entry.counters.filtered.wrapping_add(1);
+                counters.filtered = counters.filtered.wrapping_add(1);
                 continue;
             }
-            match subscriber.offer(&mut self.pool, &event, self.map) {
+            match subscriber.offer(&mut self.pool, frame, received_at, self.map) {
                 Ok(replaced) => {
-                    entry.counters.delivered = entry.counters.delivered.wrapping_add(1);
+                    subscriber.delivered = subscriber.delivered.wrapping_add(1);
                     if replaced {
-                        entry.counters.replaced = entry.counters.replaced.wrapping_add(1);
+                        counters.replaced = counters.replaced.wrapping_add(1);
                     }
-                    if let Some(waker) = subscriber.waker.take() {
-                        waker.wake();
-                    }
+                    subscriber.wake();
                 }
                 Err(PoolFull) => {
-                    entry.counters.overflowed = entry.counters.overflowed.wrapping_add(1);
+                    counters.overflowed = counters.overflowed.wrapping_add(1);
                     accepted = Accepted::Overflowed(entry.declared.subject);
                 }
             }
@@ -382,26 +405,25 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         &mut self,
         subscription: &Subscription<C>,
     ) -> Option<Result<Delivered<C>, Instant>> {
-        let subscriber = self.subscribers.get_mut(usize::from(subscription.index))?.as_mut()?;
-        let with_context = subscriber.context;
-        subscriber.list.pop(&mut self.pool, |event| decode(event, with_context).ok_or(event.received_at))
+        let subscriber = self.subscribers.get_mut(usize::from(subscription.index))?;
+        let event = subscriber.list.pop(&mut self.pool)?;
+        Some(decode(event, subscription.context).ok_or(event.received_at))
     }
 
     /// Has the waker woken by the next event of the subscription.
     pub(crate) fn set_waker<C>(&mut self, subscription: &Subscription<C>, waker: &Waker) {
-        let place = self.subscribers.get_mut(usize::from(subscription.index));
-        if let Some(Some(subscriber)) = place {
-            subscriber.waker = Some(waker.clone());
+        if let Some(subscriber) = self.subscribers.get_mut(usize::from(subscription.index)) {
+            subscriber.set_waker(Some(waker.clone()));
         }
     }
 
     /// What happened on a channel.
     pub fn counters(&self, subject: Subject) -> Option<ChannelCounters> {
-        self.channels
-            .iter()
-            .flatten()
-            .find(|entry| entry.declared.subject == subject)
-            .map(|entry| entry.counters)
+        let at = self.find(subject)?;
+        let counters = self.channels.get(at)?.as_ref()?.counters;
+        let subscribers = self.subscribers.iter().filter(|subscriber| usize::from(subscriber.channel) == at);
+        let delivered = subscribers.fold(counters.delivered, |sum, one| sum.wrapping_add(one.delivered));
+        Some(ChannelCounters { delivered, ..counters })
     }
 
     /// The broker has bound the subject. O(CHANNELS).
@@ -415,8 +437,9 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let Some(at) = self.find(subject) else { return };
         let former = self.entry_mut(at as u8).and_then(|entry| entry.etag.take());
         if let Some(former) = former {
-            self.by_etag.remove(u32::from(former.get()));
+            self.by_etag.remove(former.get().into());
         }
+        self.update(at as u8);
     }
 
     /// An event of the channel has left the node.
@@ -436,7 +459,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 
     /// The etag of a subscription's channel, if it is known.
     pub(crate) fn etag_of<C>(&self, subscription: &Subscription<C>) -> Option<Etag> {
-        let subscriber = self.subscribers.get(usize::from(subscription.index))?.as_ref()?;
+        let subscriber = self.subscribers.get(usize::from(subscription.index))?;
         self.channels.get(usize::from(subscriber.channel))?.as_ref()?.etag
     }
 
@@ -458,12 +481,12 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 
     /// The channel that has this etag here.
     pub(crate) fn subject_of(&self, etag: Etag) -> Option<Subject> {
-        self.subject(Tag(self.by_etag.get(u32::from(etag.get()))?))
+        self.subject(self.look_up(etag)?.tag)
     }
 
     /// Marks an event whose content is no value of the channel's type.
     pub(crate) fn note_malformed<C>(&mut self, subscription: &Subscription<C>) -> Option<Subject> {
-        let at = self.subscribers.get(usize::from(subscription.index))?.as_ref()?.channel;
+        let at = self.subscribers.get(usize::from(subscription.index))?.channel;
         let entry = self.entry_mut(at)?;
         entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
         Some(entry.declared.subject)
@@ -491,13 +514,14 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         }
         let at = self.channels.iter().position(Option::is_none).ok_or(AnnounceError::TooManyChannels)?;
         if let Some(etag) = declared.etag {
-            if self.by_etag.get(u32::from(etag.get())).is_some() {
+            if self.look_up(etag).is_some() {
                 return Err(AnnounceError::EtagInUse);
             }
         }
         self.channels[at] = Some(Entry {
             declared: *declared,
             etag: None,
+            outlet: Outlet::CLOSED,
             announcements: 0,
             subscriptions: 0,
             first_subscription: NONE,
@@ -514,19 +538,36 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     }
 
     fn name(&mut self, at: u8, etag: Etag) -> Result<(), AnnounceError> {
-        let key = u32::from(etag.get());
-        if self.by_etag.get(key).is_some_and(|other| other != at) {
+        if self.look_up(etag).is_some_and(|route| route.tag != Tag(at)) {
             return Err(AnnounceError::EtagInUse);
         }
         let former = self.entry_mut(at).and_then(|entry| entry.etag);
         if let Some(former) = former {
-            self.by_etag.remove(u32::from(former.get()));
+            self.by_etag.remove(former.get().into());
         }
-        self.by_etag.insert(key, at).map_err(|_| AnnounceError::TooManyChannels)?;
+        let route = Route { tag: Tag(at), only: NONE };
+        self.by_etag.insert(etag.get().into(), route.encode()).map_err(|_| AnnounceError::TooManyChannels)?;
         if let Some(entry) = self.entry_mut(at) {
             entry.etag = Some(etag);
         }
+        self.update(at);
         Ok(())
+    }
+
+    /// Something has changed that decides where frames of a channel go, or what they are called.
+    fn update(&mut self, at: u8) {
+        let Some(Some(entry)) = self.channels.get_mut(usize::from(at)) else { return };
+        entry.outlet = match (self.tx_node, entry.etag) {
+            (Some(tx_node), Some(etag)) if entry.announcements > 0 => Outlet::new(tx_node, etag),
+            _ => Outlet::CLOSED,
+        };
+        let plain = entry.subscriptions == 1 && !entry.declared.context;
+        let only = if plain { entry.first_subscription } else { NONE };
+        if let Some(etag) = entry.etag {
+            // It is there already, so there is a place.
+            let route = Route { tag: Tag(at), only };
+            let _ = self.by_etag.insert(etag.get().into(), route.encode());
+        }
     }
 
     fn forget_unused(&mut self, at: u8) {
@@ -534,7 +575,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let unused = |entry: &mut Entry| entry.announcements == 0 && entry.subscriptions == 0;
         if let Some(entry) = place.take_if(unused) {
             if let Some(etag) = entry.etag {
-                self.by_etag.remove(u32::from(etag.get()));
+                self.by_etag.remove(etag.get().into());
             }
         }
     }
@@ -543,31 +584,41 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 #[inline]
 fn decode<C: Content>(event: &Waiting, with_context: bool) -> Option<Delivered<C>> {
     let (context, content) = if with_context {
-        let (context, content) = Context::split(&event.payload)?;
+        let (context, content) = Context::split(&event.payload())?;
         (context, C::decode(content.as_slice())?)
     } else {
-        (Context::EMPTY, C::decode(event.payload.as_slice())?)
+        (Context::EMPTY, C::decode(event.as_slice())?)
     };
-    Some(Delivered { content, context, publisher: event.publisher, received_at: event.received_at })
+    Some(Delivered { content, context, publisher: event.id.tx_node(), received_at: event.received_at })
+}
+
+impl Entry {
+    /// Why nothing can be published.
+    #[cold]
+    const fn why_closed(&self) -> PublishError {
+        if self.announcements == 0 { PublishError::NotAnnounced } else { PublishError::NotBound }
+    }
 }
 
 impl Subscriber {
     /// Queues an event by the subscriber's policy. Says whether it replaced an earlier one.
-    #[inline]
     fn offer<const N: usize>(
         &mut self,
         pool: &mut Pool<N>,
-        event: &Waiting,
+        frame: &Frame,
+        received_at: Instant,
         map: PriorityMap,
     ) -> Result<bool, PoolFull> {
         let full = self.list.len() >= self.policy.depth();
         match self.policy {
-            Policy::Fifo(_) if !full => self.list.push(pool, event).map(|()| false),
+            Policy::Fifo(_) if !full => self.list.push(pool, frame, received_at).map(|()| false),
             Policy::Latest => {
-                let replaced = full && self.list.pop(pool, |_| ()).is_some();
-                self.list.push(pool, event).map(|()| replaced)
+                let replaced = full && self.list.pop(pool).is_some();
+                self.list.push(pool, frame, received_at).map(|()| replaced)
             }
-            Policy::DeadlineOrder(_) if !full => self.list.insert(pool, event, map.step()).map(|()| false),
+            Policy::DeadlineOrder(_) if !full => {
+                self.list.insert(pool, frame, received_at, map.step()).map(|()| false)
+            }
             _ => Err(PoolFull),
         }
     }

@@ -20,4 +20,4 @@ pub use layer::{AnnounceError, Delivered, Event, EventLayer, PublishError, Publi
 
 pub(crate) use channel::Declared;
 pub(crate) use exception::Exceptions;
-pub(crate) use layer::Accepted;
+pub(crate) use layer::{Accepted, Received};

@@ -1,41 +1,46 @@
 //! Where received events wait for their subscribers: one pool for all queues of a node.
 
-use crate::can::{Payload, Priority, TxNode};
+use crate::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use crate::time::{Duration, Instant};
 
-/// An event as it waits in a queue: 24 bytes with its place in the list.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+/// An event as it waits in a queue: 24 bytes.
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Waiting {
     /// When its frame arrived; for a local publication, when it was published; for a hard real-time
     /// event, when it became visible.
     pub(crate) received_at: Instant,
-    /// Attributes of context, if the channel has them, and content.
-    pub(crate) payload: Payload,
-    pub(crate) publisher: TxNode,
-    /// Says, with the time of arrival, when the deadline is.
-    pub(crate) priority: Priority,
+    /// Its priority says, with the time of arrival, when the deadline is.
+    pub(crate) id: Id,
+    /// The payload of its frame, taken apart so that `next` finds room.
+    bytes: [u8; Payload::MAX_LEN],
+    len: u8,
+    /// The next place of the same queue, or of the free places. Behind the last of a queue it means
+    /// nothing; the number of places ends the free ones.
+    next: u8,
 }
 
 impl Waiting {
-    /// The deadline as the frame tells it: one step for each priority.
-    fn deadline(&self, step: Duration) -> Instant {
-        self.received_at + Duration::from_ticks(u64::from(self.priority.get()) * step.as_ticks())
+    /// Attributes of context, if the channel has them, and content.
+    #[inline]
+    pub(crate) fn as_slice(&self) -> &[u8] {
+        &self.bytes[..usize::from(self.len).min(Payload::MAX_LEN)]
+    }
+
+    /// The payload of the frame that brought it.
+    pub(crate) fn payload(&self) -> Payload {
+        Payload::truncated(self.bytes, self.len.into())
     }
 }
 
-/// No node: the end of a list.
-const END: u8 = u8::MAX;
-
-#[derive(Clone, Copy, Debug)]
-struct Node {
-    event: Waiting,
-    next: u8,
+/// The deadline as a frame tells it: one step for each priority.
+fn deadline(id: Id, received_at: Instant, step: Duration) -> Instant {
+    received_at + Duration::from_ticks(u64::from(id.priority().get()) * step.as_ticks())
 }
 
 /// Room for `N` ≤ 255 events.
 #[derive(Clone, Debug)]
 pub(super) struct Pool<const N: usize> {
-    nodes: [Node; N],
+    places: [Waiting; N],
     free: u8,
 }
 
@@ -53,51 +58,46 @@ pub(super) struct PoolFull;
 
 impl<const N: usize> Pool<N> {
     pub(super) const fn new() -> Self {
-        const { assert!(N > 0 && N < END as usize, "a node has room for 1..=254 waiting events") };
-        let nothing = Node {
-            event: Waiting {
-                received_at: Instant::EPOCH,
-                payload: Payload::EMPTY,
-                publisher: TxNode::MIN,
-                priority: Priority::LEAST,
-            },
-            next: END,
+        const { assert!(N > 0 && N <= 255, "a node has room for 1..=255 waiting events") };
+        let nothing = Waiting {
+            received_at: Instant::EPOCH,
+            id: Id::new(Priority::LEAST, TxNode::MIN, Etag::BOUND_LAST),
+            bytes: [0; Payload::MAX_LEN],
+            len: 0,
+            next: 0,
         };
-        let mut nodes = [nothing; N];
+        let mut places = [nothing; N];
         let mut at = 0;
-        while at + 1 < N {
-            nodes[at].next = at as u8 + 1;
+        while at < N {
+            places[at].next = at as u8 + 1;
             at += 1;
         }
-        Self { nodes, free: 0 }
+        Self { places, free: 0 }
     }
 
     #[inline]
-    fn allocate(&mut self, event: &Waiting) -> Result<u8, PoolFull> {
+    fn allocate(&mut self, frame: &Frame, received_at: Instant) -> Result<u8, PoolFull> {
         let at = self.free;
-        let node = self.nodes.get_mut(usize::from(at)).ok_or(PoolFull)?;
-        self.free = node.next;
-        node.event = *event;
-        node.next = END;
+        let place = self.places.get_mut(usize::from(at)).ok_or(PoolFull)?;
+        self.free = place.next;
+        place.received_at = received_at;
+        place.id = frame.id;
+        place.bytes = frame.payload.padded();
+        place.len = frame.payload.len() as u8;
         Ok(at)
     }
 
     #[inline]
-    fn get(&self, at: u8) -> Option<&Node> {
-        self.nodes.get(usize::from(at))
-    }
-
-    #[inline]
     fn link(&mut self, from: u8, to: u8) {
-        if let Some(node) = self.nodes.get_mut(usize::from(from)) {
-            node.next = to;
+        if let Some(place) = self.places.get_mut(usize::from(from)) {
+            place.next = to;
         }
     }
 }
 
 impl List {
     pub(super) const fn new() -> Self {
-        Self { first: END, last: END, len: 0 }
+        Self { first: 0, last: 0, len: 0 }
     }
 
     #[inline]
@@ -110,10 +110,11 @@ impl List {
     pub(super) fn push<const N: usize>(
         &mut self,
         pool: &mut Pool<N>,
-        event: &Waiting,
+        frame: &Frame,
+        received_at: Instant,
     ) -> Result<(), PoolFull> {
-        let at = pool.allocate(event)?;
-        if self.first == END {
+        let at = pool.allocate(frame, received_at)?;
+        if self.len == 0 {
             self.first = at;
         } else {
             pool.link(self.last, at);
@@ -127,50 +128,59 @@ impl List {
     pub(super) fn insert<const N: usize>(
         &mut self,
         pool: &mut Pool<N>,
-        event: &Waiting,
+        frame: &Frame,
+        received_at: Instant,
         step: Duration,
     ) -> Result<(), PoolFull> {
-        let deadline = event.deadline(step);
-        let mut before = END;
+        let due = deadline(frame.id, received_at, step);
+        let mut before = None;
         let mut next = self.first;
-        while let Some(node) = pool.get(next).filter(|node| node.event.deadline(step) <= deadline) {
-            before = next;
-            next = node.next;
+        for _ in 0..self.len {
+            match pool.places.get(usize::from(next)) {
+                Some(there) if deadline(there.id, there.received_at, step) <= due => {
+                    before = Some(next);
+                    next = there.next;
+                }
+                _ => return self.insert_at(pool, (before, next), frame, received_at),
+            }
         }
-        if next == END {
-            return self.push(pool, event);
-        }
-        let at = pool.allocate(event)?;
+        self.push(pool, frame, received_at)
+    }
+
+    fn insert_at<const N: usize>(
+        &mut self,
+        pool: &mut Pool<N>,
+        (before, next): (Option<u8>, u8),
+        frame: &Frame,
+        received_at: Instant,
+    ) -> Result<(), PoolFull> {
+        let at = pool.allocate(frame, received_at)?;
         pool.link(at, next);
-        if before == END {
-            self.first = at;
-        } else {
-            pool.link(before, at);
+        match before {
+            None => self.first = at,
+            Some(before) => pool.link(before, at),
         }
         self.len += 1;
         Ok(())
     }
 
-    /// Takes the first event, and hands it to `read` where it lies. O(1).
+    /// Takes the first event. It may be read where it lies, until the place is used again. O(1).
     #[inline]
-    pub(super) fn pop<const N: usize, R>(
-        &mut self,
-        pool: &mut Pool<N>,
-        read: impl FnOnce(&Waiting) -> R,
-    ) -> Option<R> {
+    pub(super) fn pop<'p, const N: usize>(&mut self, pool: &'p mut Pool<N>) -> Option<&'p Waiting> {
+        if self.len == 0 {
+            return None;
+        }
         let at = self.first;
-        let node = pool.nodes.get_mut(usize::from(at))?;
-        let result = read(&node.event);
-        self.first = node.next;
-        node.next = pool.free;
+        let place = pool.places.get_mut(usize::from(at))?;
+        self.first = core::mem::replace(&mut place.next, pool.free);
         pool.free = at;
         self.len -= 1;
-        Some(result)
+        Some(place)
     }
 
     /// Gives all events back to the pool. O(length).
     pub(super) fn clear<const N: usize>(&mut self, pool: &mut Pool<N>) {
-        while self.pop(pool, |_| ()).is_some() {}
+        while self.pop(pool).is_some() {}
     }
 }
 
@@ -183,13 +193,9 @@ mod tests {
 
     const STEP: Duration = Duration::from_micros(160);
 
-    fn event(number: u8, priority: u8) -> Waiting {
-        Waiting {
-            received_at: Instant::EPOCH,
-            payload: Payload::new(&[number]).unwrap(),
-            publisher: TxNode::MIN,
-            priority: Priority::new(priority),
-        }
+    fn frame(number: u8, priority: u8) -> Frame {
+        let id = Id::new(Priority::new(priority), TxNode::MIN, Etag::BOUND_FIRST);
+        Frame::new(id, Payload::new(&[number]).unwrap())
     }
 
     proptest! {
@@ -206,9 +212,9 @@ mod tests {
                 if push {
                     let list = &mut lists[at];
                     let pushed = if at == 2 {
-                        list.insert(&mut pool, &event(number, priority), STEP)
+                        list.insert(&mut pool, &frame(number, priority), Instant::EPOCH, STEP)
                     } else {
-                        list.push(&mut pool, &event(number, priority))
+                        list.push(&mut pool, &frame(number, priority), Instant::EPOCH)
                     };
                     prop_assert_eq!(pushed.is_ok(), waiting < 6);
                     if pushed.is_ok() {
@@ -220,8 +226,8 @@ mod tests {
                         }
                     }
                 } else {
-                    let expected = oracle[at].pop_front().map(|(priority, number)| event(number, priority));
-                    prop_assert_eq!(lists[at].pop(&mut pool, |event| *event), expected);
+                    let expected = oracle[at].pop_front().map(|(priority, number)| frame(number, priority));
+                    prop_assert_eq!(lists[at].pop(&mut pool).map(|it| Frame::new(it.id, it.payload())), expected);
                 }
                 prop_assert_eq!(usize::from(lists[at].len()), oracle[at].len());
             }

@@ -135,6 +135,14 @@ impl GlobalClock {
         Duration::from_ticks(error.as_ticks().saturating_add(grown.unsigned_abs()))
     }
 
+    /// Is this clock within `bound` of global time at all local instants from `from` until `until`? O(1), no
+    /// division.
+    #[inline]
+    pub(crate) fn is_accurate(&self, from: Instant, until: Instant, bound: Duration) -> bool {
+        // The accuracy gets worse with the distance from the reference, so it is worst at one of the ends.
+        self.accuracy(until) <= bound && (from >= self.local || self.accuracy(from) <= bound)
+    }
+
     /// The rate at the local instant `now` is wrong by at most this, either way. `None` if the clock is not
     /// synchronised.
     pub const fn rate_error(&self, now: Instant) -> Option<Rate> {

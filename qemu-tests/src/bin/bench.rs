@@ -94,26 +94,20 @@ impl<const CHANNELS: usize> Node<CHANNELS> {
         self.half.subscribe(channel, Filter::ALL, fifo, &mut self.buffers).unwrap()
     }
 
-    #[inline(never)]
-    fn publish(&mut self, publication: &Publication<[u8; 8]>, content: &[u8; 8]) {
-        let published = self.half.publish(NOW, publication, &Event::new(*content), &mut self.buffers);
+    #[inline]
+    fn publish(&mut self, now: Instant, publication: &Publication<[u8; 8]>, content: &[u8; 8]) {
+        let published = self.half.publish(now, publication, &Event::new(*content), &mut self.buffers);
         if let Ok(Some(Command::Load(mailbox, frame))) = published {
             store(mailbox, &frame);
         }
     }
 
-    #[inline(never)]
-    fn receive(&mut self, frame: &Frame, subscription: &Subscription<[u8; 8]>) -> Option<Delivered<[u8; 8]>> {
-        self.half.on_frame(frame, NOW);
-        self.half.next(subscription)
-    }
-
     /// One call of the calendar task.
-    #[inline(never)]
+    #[inline]
     fn tick(&mut self, now: Instant) -> hard::Step {
         let step = self.dispatcher.poll(now, &mut self.buffers);
-        if let hard::Step::Command(Command::Load(mailbox, frame)) = step {
-            store(mailbox, &frame);
+        if let hard::Step::Command(Command::Load(_, frame)) = step {
+            store(Mailbox::Hard, &frame);
         }
         step
     }
@@ -147,15 +141,12 @@ fn store(mailbox: Mailbox, frame: &Frame) {
 fn bench<const CHANNELS: usize, H>(
     what: &str,
     make: impl Fn() -> (Node<CHANNELS>, H),
-    mut code: impl FnMut(&mut Node<CHANNELS>, &H),
+    mut code: impl FnMut(&mut Node<CHANNELS>, &mut H),
+    done: impl Fn(&Node<CHANNELS>, &H) -> bool,
 ) {
     let mut nodes: [(Node<CHANNELS>, H); count::RUNS as usize] = core::array::from_fn(|_| make());
-    let mut fresh = nodes.iter_mut();
-    let counted = count::instructions(|| {
-        if let Some((node, handle)) = fresh.next() {
-            code(black_box(node), black_box(handle));
-        }
-    });
+    let counted = count::each(black_box(&mut nodes), |(node, handle)| code(node, handle));
+    assert!(nodes.iter().all(|(node, handle)| done(node, handle)), "{} did not do its work", what);
     measured!("{}: {} instructions, exact {}", what, counted.instructions, counted.exact);
 }
 
@@ -175,11 +166,13 @@ fn main() -> ! {
 
 fn publish() {
     let content = black_box([0x5A; 8]);
+    let (now, ready) = black_box((NOW, READY));
     for (what, channel) in [("publish soft", soft(0)), ("publish non real-time", BULK)] {
         bench::<4, _>(
             what,
             || with(|node| node.announce(&channel)),
-            |node, publication| node.publish(publication, &content),
+            |node, publication| node.publish(now, publication, &content),
+            |_, _| true,
         );
     }
     let hard_publisher = || {
@@ -189,13 +182,23 @@ fn publish() {
             publication
         })
     };
-    bench("publish hard, into the buffer", hard_publisher, |node, publication| {
-        node.publish(publication, &content);
-    });
-    bench("publish hard, with the release", hard_publisher, |node, publication| {
-        node.publish(publication, &content);
-        let _ = black_box(node.tick(READY));
-    });
+    bench(
+        "publish hard, into the buffer",
+        hard_publisher,
+        |node, publication| {
+            node.publish(now, publication, &content);
+        },
+        |_, _| true,
+    );
+    bench(
+        "publish hard, with the release",
+        hard_publisher,
+        |node, publication| {
+            node.publish(now, publication, &content);
+            let _ = black_box(node.tick(READY));
+        },
+        |_, _| true,
+    );
 }
 
 fn receive<const CHANNELS: usize>(what: &str, channels: u16) {
@@ -213,11 +216,26 @@ fn receive<const CHANNELS: usize>(what: &str, channels: u16) {
         black_box(Frame::new(id, Payload::full([7; 8])))
     };
     let wanted = frame(Etag::BOUND_LAST.get() - channels + 1);
-    bench(what, subscribers, |node, subscription| {
-        assert!(black_box(node.receive(&wanted, subscription)).is_some());
-    });
+    let received_at = black_box(NOW);
+    bench(
+        what,
+        || {
+            let (node, subscription) = subscribers();
+            (node, (subscription, None))
+        },
+        |node, (subscription, got)| {
+            node.half.on_frame(&wanted, received_at);
+            *got = node.half.next(subscription);
+        },
+        |_, (_, got)| got.is_some_and(|got: Delivered<_>| got.content == [7; 8]),
+    );
     let foreign = frame(Etag::BOUND_LAST.get() - 1000);
-    bench(rejects(channels), subscribers, |node, _| node.half.on_frame(&foreign, NOW));
+    bench(
+        rejects(channels),
+        subscribers,
+        |node, _| node.half.on_frame(&foreign, received_at),
+        |node, _| node.half.foreign_frames() == 1,
+    );
 }
 
 fn rejects(channels: u16) -> &'static str {
@@ -240,9 +258,14 @@ fn hard_receive() {
             subscription
         })
     };
-    bench("receive hard, in the interrupt", subscriber, |node, _| {
-        assert!(node.buffers.on_frame(&frame, arrived_at));
-    });
+    bench(
+        "receive hard, in the interrupt",
+        subscriber,
+        |node, _| {
+            assert!(node.buffers.on_frame(&frame, arrived_at));
+        },
+        |_, _| true,
+    );
     let delivery = Instant::from_epoch(Duration::from_millis(5));
     bench(
         "receive hard, delivery to the subscriber",
@@ -257,6 +280,7 @@ fn hard_receive() {
             }
             assert!(black_box(node.half.next(subscription)).is_some());
         },
+        |_, _| true,
     );
 }
 
@@ -268,12 +292,22 @@ fn ticks() {
             node.settle(NOW);
         })
     };
-    bench("calendar tick, nothing due", node, |node, ()| {
-        let _ = black_box(node.tick(NOW));
-    });
-    bench("calendar tick, slot without event", node, |node, ()| {
-        let _ = black_box(node.tick(READY));
-    });
+    bench(
+        "calendar tick, nothing due",
+        node,
+        |node, ()| {
+            let _ = black_box(node.tick(NOW));
+        },
+        |_, _| true,
+    );
+    bench(
+        "calendar tick, slot without event",
+        node,
+        |node, ()| {
+            let _ = black_box(node.tick(READY));
+        },
+        |_, _| true,
+    );
 }
 
 /// The differences of sizes of nodes with more and fewer places.

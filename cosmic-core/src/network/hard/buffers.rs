@@ -119,8 +119,10 @@ pub enum AttachError {
 pub(super) struct Buffer {
     pub(super) id: Id,
     pub(super) role: Role,
-    /// Published and not yet loaded.
-    pub(super) outgoing: Option<Payload>,
+    /// Published last.
+    outgoing: Payload,
+    /// It has not been loaded yet.
+    pub(super) fresh: bool,
     /// Loaded; kept until the outcome is known, for local subscribers.
     in_mailbox: Payload,
     /// Received in the slot that is open, not yet visible.
@@ -140,6 +142,15 @@ pub(super) struct LocalSlot {
     pub(super) times: SlotTimes,
     /// The revision with which it was attached.
     pub(super) attached: u32,
+}
+
+impl LocalSlot {
+    /// In nanoseconds: the instants of a slot are never further from now than this, while the clock is not
+    /// set and the dispatcher comes in time.
+    #[inline]
+    pub(super) const fn longest_distance(&self) -> u64 {
+        self.period.as_ticks().saturating_add(self.times.delivery.as_ticks())
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -164,9 +175,9 @@ pub(super) enum HardMailbox {
 #[derive(Clone, Debug)]
 pub struct HrtBuffers<const N: usize> {
     buffers: [Option<Buffer>; N],
-    by_id: IdMap<N>,
+    by_id: IdMap<8, N>,
     pub(super) slots: [Option<LocalSlot>; N],
-    /// Counts changes of `slots`, so that the dispatcher sees them.
+    /// Counts changes of `slots` and `clock`, so that the dispatcher sees them.
     pub(super) revision: u32,
     pub(super) mailbox: HardMailbox,
     pub(super) clock: GlobalClock,
@@ -199,7 +210,7 @@ impl<const N: usize> HrtBuffers<N> {
         let times = request.calendar.slot_times(slot);
         let known = self.by_id.get(id.raw());
         let at = match known {
-            Some(at) => usize::from(at),
+            Some(at) => at as usize,
             None => self.buffers.iter().position(Option::is_none).ok_or(AttachError::Full)?,
         };
         let local = LocalSlot {
@@ -217,7 +228,7 @@ impl<const N: usize> HrtBuffers<N> {
             .or_else(|| self.slots.iter().position(Option::is_none))
             .ok_or(AttachError::Full)?;
         if known.is_none() {
-            self.by_id.insert(id.raw(), at as u8).map_err(|_| AttachError::Full)?;
+            self.by_id.insert(id.raw(), at as u32).map_err(|_| AttachError::Full)?;
             self.buffers[at] = Some(Buffer::new(id));
         }
         if let Some(buffer) = &mut self.buffers[at] {
@@ -236,7 +247,7 @@ impl<const N: usize> HrtBuffers<N> {
         let Some(buffer) = place else { return };
         if role.publishes {
             buffer.role.publishes = false;
-            buffer.outgoing = None;
+            buffer.fresh = false;
         }
         if role.subscribes {
             buffer.role.subscribes = false;
@@ -261,7 +272,8 @@ impl<const N: usize> HrtBuffers<N> {
     #[inline]
     pub fn publish(&mut self, id: BufferId, payload: Payload) {
         if let Some(buffer) = self.buffer_mut(id.0) {
-            if buffer.outgoing.replace(payload).is_some() {
+            buffer.outgoing = payload;
+            if core::mem::replace(&mut buffer.fresh, true) {
                 buffer.counters.replaced = buffer.counters.replaced.wrapping_add(1);
             }
         }
@@ -287,6 +299,7 @@ impl<const N: usize> HrtBuffers<N> {
     /// A new copy of the clock's parameters.
     pub fn set_clock(&mut self, clock: GlobalClock) {
         self.clock = clock;
+        self.revision = self.revision.wrapping_add(1);
     }
 
     /// Keeps the node silent in all its slots, or lets it speak again; for a node whose calendar is not
@@ -310,8 +323,11 @@ impl<const N: usize> HrtBuffers<N> {
     /// The first copy in a window is kept, until its delivery instant. At most one map look-up.
     #[inline]
     pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) -> bool {
+        if frame.id.priority() != Priority::HARD {
+            return false;
+        }
         let Some(at) = self.by_id.get(frame.id.raw()) else { return false };
-        match self.buffer_mut(at) {
+        match self.buffer_mut(at as u8) {
             Some(buffer) if buffer.role.subscribes => {
                 buffer.arrived(frame.payload, received_at);
                 true
@@ -344,7 +360,20 @@ impl<const N: usize> HrtBuffers<N> {
 
     /// The buffer of a channel and publisher, if this node takes part in one of its slots.
     pub fn find(&self, etag: Etag, publisher: TxNode) -> Option<BufferId> {
-        self.by_id.get(Id::new(Priority::HARD, publisher, etag).raw()).map(BufferId)
+        self.by_id.get(Id::new(Priority::HARD, publisher, etag).raw()).map(|at| BufferId(at as u8))
+    }
+
+    #[inline]
+    pub(super) fn slot(&self, at: u8) -> Option<&LocalSlot> {
+        self.slots.get(usize::from(at))?.as_ref()
+    }
+
+    /// What the dispatcher works on, in parts that can be held at once.
+    #[inline]
+    pub(super) fn parts_mut(
+        &mut self,
+    ) -> (&[Option<LocalSlot>; N], &mut [Option<Buffer>; N], &mut HardMailbox) {
+        (&self.slots, &mut self.buffers, &mut self.mailbox)
     }
 
     #[inline]
@@ -363,7 +392,8 @@ impl Buffer {
         Self {
             id,
             role: Role { publishes: false, subscribes: false },
-            outgoing: None,
+            outgoing: Payload::EMPTY,
+            fresh: false,
             in_mailbox: Payload::EMPTY,
             arriving: None,
             visible: None,
@@ -373,11 +403,11 @@ impl Buffer {
     }
 
     /// Takes the fresh event, to be sent.
+    #[inline]
     pub(super) fn load(&mut self) -> Frame {
-        if let Some(payload) = self.outgoing.take() {
-            self.in_mailbox = payload;
-        }
-        Frame::new(self.id, self.in_mailbox)
+        self.fresh = false;
+        self.in_mailbox = self.outgoing;
+        Frame::new(self.id, self.outgoing)
     }
 
     #[inline]

@@ -40,17 +40,53 @@ struct Occurrence {
     attached: u32,
 }
 
+impl Next {
+    const UNKNOWN: Self = Self {
+        is_known: false,
+        at: 0,
+        buffer: 0,
+        stage: Stage::Ready,
+        accurate: false,
+        wake: Instant::EPOCH,
+        latest: Instant::EPOCH,
+        deadline: GlobalInstant::EPOCH,
+    };
+}
+
 /// The calendar dispatcher and time-triggered channel handler (TTCH) of a node, for up to `N` slots. See
 /// the [module](super) for the loop around it.
 ///
-/// One `poll` handles one instant of one slot: O(N) compares of due times, and at most one frame copied.
+/// One `poll` handles one instant of one slot, O(1) with at most one frame copied. The first `poll` after
+/// an instant, or after slots or clock have changed, also looks for the next instant: O(N) compares and three
+/// conversions of the clock, so that they lie in the time before an instant and not between it and the frame.
 #[derive(Clone, Debug)]
 pub struct Dispatcher<const N: usize> {
     accuracy: Duration,
     release_jitter: Duration,
     gap: Duration,
     occurrences: [Option<Occurrence>; N],
+    /// The earliest of them.
+    next: Next,
     revision: u32,
+}
+
+/// The instant that the dispatcher waits for.
+#[derive(Clone, Copy, Debug)]
+struct Next {
+    /// If not, it must be looked for, and the rest is of the last one.
+    is_known: bool,
+    /// The place of the slot.
+    at: u8,
+    buffer: u8,
+    stage: Stage,
+    /// Is the clock within bound from now until `latest`?
+    accurate: bool,
+    /// When it is due, in local time.
+    wake: Instant,
+    /// Later than this is too late for a release.
+    latest: Instant,
+    /// When a frame that is released must have been sent.
+    deadline: GlobalInstant,
 }
 
 impl<const N: usize> Dispatcher<N> {
@@ -66,62 +102,85 @@ impl<const N: usize> Dispatcher<N> {
             release_jitter: segment.release_jitter,
             gap: segment.gap(),
             occurrences: [None; N],
+            next: Next::UNKNOWN,
             revision: 0,
         }
     }
 
     /// Handles the earliest instant of the calendar that is due.
     pub fn poll(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
-        let today = buffers.clock.to_global(now);
         if self.revision != buffers.revision {
-            self.revise(today, buffers);
+            self.revise(now, buffers);
         }
-        let Some((at, occurrence)) = self.earliest() else {
-            return Step::SleepUntil(now + Self::LONGEST_SLEEP);
-        };
-        let Some(slot) = buffers.slots.get(at).copied().flatten() else { return Step::Continue };
-        // An instant further away than a period, either way, is of a clock that has been set since.
-        let distance = occurrence.due.signed_since(today).unsigned_abs();
-        if distance > slot.period.as_ticks().saturating_add(slot.times.delivery.as_ticks()) {
-            return self.realign(at, &slot, today, buffers);
+        if !self.next.is_known {
+            if let Err(step) = self.find_next(now, buffers) {
+                return step;
+            }
         }
-        if occurrence.due > today {
-            let wake = buffers.clock.to_local(occurrence.due);
-            return Step::SleepUntil(wake.min(now + Self::LONGEST_SLEEP));
+        if now < self.next.wake {
+            return Step::SleepUntil(self.next.wake.min(now + Self::LONGEST_SLEEP));
         }
-        match occurrence.stage {
-            Stage::Ready => self.release(at, &slot, occurrence, now, buffers),
-            Stage::Deadline => self.withdraw(at, &slot, occurrence, buffers),
-            Stage::Delivery => self.deliver(at, &slot, occurrence, now, buffers),
+        self.next.is_known = false;
+        match self.next.stage {
+            Stage::Ready => self.release(now, buffers),
+            Stage::Deadline => self.withdraw(now, buffers),
+            Stage::Delivery => self.deliver(now, buffers),
         }
     }
 
-    fn release(
-        &mut self,
-        at: usize,
-        slot: &LocalSlot,
-        occurrence: Occurrence,
-        now: Instant,
-        buffers: &mut HrtBuffers<N>,
-    ) -> Step {
-        let late = buffers.clock.to_global(now).saturating_since(occurrence.ready) > self.release_jitter;
-        let silent = self.must_keep_silent(now, buffers);
-        let mailbox_free = buffers.mailbox == HardMailbox::Empty;
-        let Some(buffer) = buffers.buffer_mut(slot.buffer) else { return Step::Continue };
-        let after = if buffer.role.subscribes { Stage::Delivery } else { Stage::Ready };
-        let fresh = buffer.outgoing.is_some();
-        if buffer.role.publishes && fresh && !silent && !late && mailbox_free {
-            let frame = buffer.load();
-            buffers.mailbox = HardMailbox::Loaded(slot.buffer);
-            self.enter(at, slot, occurrence, Stage::Deadline);
-            return Step::Command(Command::Load(MAILBOX, frame));
+    /// Looks for the next instant; or says what is to be done before it can be known.
+    #[inline(never)]
+    fn find_next(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Result<(), Step> {
+        let Some((at, Occurrence { ready, stage, due, .. })) = self.earliest() else {
+            return Err(Step::SleepUntil(now + Self::LONGEST_SLEEP));
+        };
+        let Some(slot) = buffers.slot(at) else { return Err(Step::Continue) };
+        // An instant further away than a period, either way, is of a clock that has been set since.
+        let distance = due.signed_since(buffers.clock.to_global(now)).unsigned_abs();
+        if distance > slot.longest_distance() {
+            return Err(self.realign(at, now, buffers));
         }
-        self.enter(at, slot, occurrence, after);
+        let wake = buffers.clock.to_local(due);
+        let latest = wake + self.release_jitter;
+        let accurate = buffers.clock.is_accurate(now.min(latest), latest, self.accuracy);
+        // The frame may be loaded late by the release jitter; it has its full time all the same.
+        let deadline = ready + slot.times.deadline + self.release_jitter;
+        let buffer = slot.buffer;
+        self.next = Next { is_known: true, at, buffer, stage, accurate, wake, latest, deadline };
+        Ok(())
+    }
+
+    /// Loads the fresh event, if all is as it should be.
+    #[inline]
+    fn release(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
+        let punctual = now <= self.next.latest && self.next.accurate && !buffers.inhibited;
+        let (_, places, mailbox) = buffers.parts_mut();
+        if let Some(Some(buffer)) = places.get_mut(usize::from(self.next.buffer)) {
+            if punctual && buffer.fresh && buffer.role.publishes && *mailbox == HardMailbox::Empty {
+                *mailbox = HardMailbox::Loaded(self.next.buffer);
+                self.enter(Stage::Deadline, self.next.deadline);
+                return Step::Command(Command::Load(MAILBOX, buffer.load()));
+            }
+        }
+        self.pass_over(now, buffers)
+    }
+
+    /// There is nothing to release, or it must not be released.
+    #[inline(never)]
+    fn pass_over(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
+        let silent = self.must_keep_silent(now, buffers);
+        let (slots, places, _) = buffers.parts_mut();
+        let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return Step::Continue };
+        if now.saturating_since(self.next.wake).as_ticks() > slot.longest_distance() {
+            return self.realign(self.next.at, now, buffers);
+        }
+        let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) else { return Step::Continue };
+        self.leave(slot, buffer.role.subscribes);
+        // What could not be sent in its slot is stale in the next.
+        let fresh = core::mem::take(&mut buffer.fresh);
         if !buffer.role.publishes || !(fresh || slot.periodic) {
             return Step::Continue;
         }
-        // What could not be sent in its slot is stale in the next.
-        buffer.outgoing = None;
         let counters = &mut buffer.counters;
         let count = match () {
             () if !fresh => &mut counters.unused,
@@ -132,38 +191,42 @@ impl<const N: usize> Dispatcher<N> {
         Step::Notify(BufferId(slot.buffer))
     }
 
-    fn withdraw(
-        &mut self,
-        at: usize,
-        slot: &LocalSlot,
-        occurrence: Occurrence,
-        buffers: &mut HrtBuffers<N>,
-    ) -> Step {
-        let subscribes = buffers.buffer(slot.buffer).is_some_and(|buffer| buffer.role.subscribes);
-        self.enter(at, slot, occurrence, if subscribes { Stage::Delivery } else { Stage::Ready });
-        if buffers.mailbox == HardMailbox::Loaded(slot.buffer) {
-            buffers.mailbox = HardMailbox::Withdrawing(slot.buffer);
+    #[inline(never)]
+    fn withdraw(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
+        let (slots, places, mailbox) = buffers.parts_mut();
+        let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return Step::Continue };
+        if now.saturating_since(self.next.wake).as_ticks() > slot.longest_distance() {
+            return self.realign(self.next.at, now, buffers);
+        }
+        let buffer = places.get(usize::from(slot.buffer)).and_then(Option::as_ref);
+        let subscribes = buffer.is_some_and(|buffer| buffer.role.subscribes);
+        self.leave(slot, subscribes);
+        if *mailbox == HardMailbox::Loaded(slot.buffer) {
+            *mailbox = HardMailbox::Withdrawing(slot.buffer);
             return Step::Command(Command::Withdraw(MAILBOX));
         }
         Step::Continue
     }
 
-    fn deliver(
-        &mut self,
-        at: usize,
-        slot: &LocalSlot,
-        occurrence: Occurrence,
-        now: Instant,
-        buffers: &mut HrtBuffers<N>,
-    ) -> Step {
-        let opened = buffers.clock.to_local(occurrence.ready.saturating_sub(self.gap));
+    #[inline(never)]
+    fn deliver(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
         let silent = self.must_keep_silent(now, buffers);
-        self.enter(at, slot, occurrence, Stage::Ready);
-        let Some(buffer) = buffers.buffer_mut(slot.buffer) else { return Step::Continue };
+        let Some(Some(occurrence)) = self.occurrences.get(usize::from(self.next.at)) else {
+            return Step::Continue;
+        };
+        let due = occurrence.due;
+        let opened = buffers.clock.to_local(occurrence.ready.saturating_sub(self.gap));
+        let (slots, places, _) = buffers.parts_mut();
+        let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return Step::Continue };
+        if now.saturating_since(self.next.wake).as_ticks() > slot.longest_distance() {
+            return self.realign(self.next.at, now, buffers);
+        }
+        self.leave(slot, false);
+        let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) else { return Step::Continue };
         if silent {
             buffer.arriving = None;
             buffer.counters.inhibited = buffer.counters.inhibited.wrapping_add(1);
-        } else if !buffer.deliver(opened, occurrence.due) {
+        } else if !buffer.deliver(opened, due) {
             if !slot.periodic {
                 return Step::Continue;
             }
@@ -172,52 +235,59 @@ impl<const N: usize> Dispatcher<N> {
         Step::Notify(BufferId(slot.buffer))
     }
 
+    #[inline]
     fn must_keep_silent(&self, now: Instant, buffers: &HrtBuffers<N>) -> bool {
-        buffers.inhibited || buffers.clock.accuracy(now) > self.accuracy
+        let accurate = now <= self.next.latest && self.next.accurate;
+        buffers.inhibited || (!accurate && buffers.clock.accuracy(now) > self.accuracy)
     }
 
-    /// Moves a slot on to the next stage of this occurrence, or to the next occurrence.
-    fn enter(&mut self, at: usize, slot: &LocalSlot, occurrence: Occurrence, stage: Stage) {
-        let (ready, due) = match stage {
-            Stage::Ready => {
-                let next = occurrence.ready + slot.period;
-                (next, next)
-            }
-            // The frame may have been loaded late by the release jitter; it has its full time all the same.
-            Stage::Deadline => {
-                (occurrence.ready, occurrence.ready + slot.times.deadline + self.release_jitter)
-            }
-            Stage::Delivery => (occurrence.ready, occurrence.ready + slot.times.delivery),
-        };
-        if let Some(place) = self.occurrences.get_mut(at) {
-            *place = Some(Occurrence { ready, stage, due, ..occurrence });
+    /// Moves a slot on to the next stage of this occurrence.
+    #[inline]
+    fn enter(&mut self, stage: Stage, due: GlobalInstant) {
+        if let Some(Some(occurrence)) = self.occurrences.get_mut(usize::from(self.next.at)) {
+            occurrence.stage = stage;
+            occurrence.due = due;
+        }
+    }
+
+    /// Moves a slot on to its delivery, if that concerns this node, or to its next occurrence.
+    fn leave(&mut self, slot: &LocalSlot, delivers: bool) {
+        let Some(Some(occurrence)) = self.occurrences.get_mut(usize::from(self.next.at)) else { return };
+        if delivers {
+            occurrence.stage = Stage::Delivery;
+            occurrence.due = occurrence.ready + slot.times.delivery;
+        } else {
+            occurrence.stage = Stage::Ready;
+            occurrence.ready = occurrence.ready + slot.period;
+            occurrence.due = occurrence.ready;
         }
     }
 
     /// Starts a slot again at its next occurrence, after the clock has been set. What was under way is
     /// given up and counted.
-    fn realign(
-        &mut self,
-        at: usize,
-        slot: &LocalSlot,
-        today: GlobalInstant,
-        buffers: &mut HrtBuffers<N>,
-    ) -> Step {
-        self.start(at, slot, today);
-        let loaded = buffers.mailbox == HardMailbox::Loaded(slot.buffer);
-        if let Some(buffer) = buffers.buffer_mut(slot.buffer) {
+    #[cold]
+    fn realign(&mut self, at: u8, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
+        let today = buffers.clock.to_global(now);
+        let (slots, places, mailbox) = buffers.parts_mut();
+        let Some(Some(slot)) = slots.get(usize::from(at)) else { return Step::Continue };
+        self.start(at.into(), slot, today);
+        if let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) {
             buffer.counters.skipped = buffer.counters.skipped.wrapping_add(1);
         }
-        if loaded {
-            buffers.mailbox = HardMailbox::Withdrawing(slot.buffer);
+        if *mailbox == HardMailbox::Loaded(slot.buffer) {
+            *mailbox = HardMailbox::Withdrawing(slot.buffer);
             return Step::Command(Command::Withdraw(MAILBOX));
         }
         Step::Notify(BufferId(slot.buffer))
     }
 
-    /// Slots have come or gone: starts the new ones at their next occurrence. O(N).
-    fn revise(&mut self, today: GlobalInstant, buffers: &HrtBuffers<N>) {
+    /// Slots have come or gone, or the clock is another one: starts the new ones at their next occurrence.
+    /// O(N).
+    #[inline(never)]
+    fn revise(&mut self, now: Instant, buffers: &HrtBuffers<N>) {
         self.revision = buffers.revision;
+        self.next.is_known = false;
+        let today = buffers.clock.to_global(now);
         for (at, slot) in buffers.slots.iter().enumerate() {
             match slot {
                 None => self.occurrences[at] = None,
@@ -238,16 +308,8 @@ impl<const N: usize> Dispatcher<N> {
         }
     }
 
-    #[inline]
-    fn earliest(&self) -> Option<(usize, Occurrence)> {
-        let mut earliest: Option<(usize, Occurrence)> = None;
-        for (at, occurrence) in self.occurrences.iter().enumerate() {
-            if let Some(occurrence) = occurrence {
-                if earliest.is_none_or(|(_, first)| occurrence.due < first.due) {
-                    earliest = Some((at, *occurrence));
-                }
-            }
-        }
-        earliest
+    fn earliest(&self) -> Option<(u8, Occurrence)> {
+        let waiting = (0..).zip(&self.occurrences).filter_map(|(at, occurrence)| Some((at, (*occurrence)?)));
+        waiting.min_by_key(|(_, occurrence)| occurrence.due)
     }
 }

@@ -1,15 +1,16 @@
 //! The event-triggered channel handler: earliest deadline first by the priority field.
 
 use super::lane::{Attended, Departure, Entry, Exception, Lane, Outgoing, RESERVED, Tag};
-use crate::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority};
+use crate::can::{BitRate, Command, Etag, Frame, Mailbox, Outcome, Payload, Priority};
 use crate::time::{Duration, Instant};
+use core::num::NonZeroU32;
 
 /// How the remaining time until a deadline becomes a priority.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PriorityMap {
     /// Δt_p in nanoseconds; fits 32 bits, so that the division is one instruction.
-    step: u32,
+    step: NonZeroU32,
 }
 
 impl PriorityMap {
@@ -18,20 +19,24 @@ impl PriorityMap {
 
     /// A map with the step Δt_p; `None` if it is zero or longer than [`PriorityMap::LONGEST_STEP`].
     pub const fn new(step: Duration) -> Option<Self> {
-        if step.is_zero() || step.as_ticks() > Self::LONGEST_STEP.as_ticks() {
+        if step.as_ticks() > Self::LONGEST_STEP.as_ticks() {
             return None;
         }
-        Some(Self { step: step.as_ticks() as u32 })
+        match NonZeroU32::new(step.as_ticks() as u32) {
+            Some(step) => Some(Self { step }),
+            None => None,
+        }
     }
 
     /// Δt_p of one longest frame, which is as fine as it is of use: frames cannot be pre-empted.
     pub const fn of(bit_rate: BitRate) -> Self {
-        Self { step: bit_rate.longest_frame(Payload::MAX_LEN).as_ticks() as u32 }
+        let step = NonZeroU32::new(bit_rate.longest_frame(Payload::MAX_LEN).as_ticks() as u32);
+        Self { step: step.expect("a frame takes time") }
     }
 
     /// Δt_p.
     pub const fn step(self) -> Duration {
-        Duration::from_ticks(self.step as u64)
+        Duration::from_ticks(self.step.get() as u64)
     }
 
     /// The priority of an event with this much time left: 1 + remaining / Δt_p, at most 249.
@@ -39,20 +44,24 @@ impl PriorityMap {
     pub const fn priority(self, remaining: Duration) -> Priority {
         let least = Priority::SOFT_LEAST_URGENT.get() as u32 - 1;
         let remaining = remaining.as_ticks();
-        if remaining >= least as u64 * self.step as u64 {
+        if remaining >= (least * self.step.get()) as u64 {
             return Priority::SOFT_LEAST_URGENT;
         }
-        Priority::new(1 + (remaining as u32 / self.step) as u8)
+        Priority::new(1 + (remaining as u32 / self.step.get()) as u8)
     }
 
-    /// When an event with this deadline must leave this priority for the next more urgent one.
-    const fn promotion(self, deadline: Instant, priority: Priority) -> Instant {
-        let steps = (priority.get() as u64).saturating_sub(1);
+    /// The priority of an event at `now`, and when it must leave that for the next more urgent one.
+    #[inline]
+    fn assign(self, deadline: Instant, now: Instant) -> (Priority, Instant) {
+        let priority = self.priority(deadline.saturating_since(now));
+        let steps = u32::from(priority.get() - 1);
         if steps == 0 {
-            return Instant::FAR_FUTURE;
+            return (priority, Instant::FAR_FUTURE);
         }
-        // At exactly `steps` steps before the deadline the quotient is still `steps`.
-        deadline.saturating_sub(Duration::from_ticks(steps * self.step as u64 - 1))
+        // At exactly `steps` steps before the deadline the quotient is still `steps`. The product fits, as
+        // [`Self::LONGEST_STEP`] says.
+        let span = Duration::from_ticks((steps * self.step.get()).saturating_sub(1).into());
+        (priority, deadline.saturating_sub(span))
     }
 }
 
@@ -148,7 +157,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     /// [`Full`]; the event is counted and not sent.
     #[inline]
     pub fn submit_soft(&mut self, now: Instant, event: Outgoing) -> Result<Option<Command>, Full> {
-        self.submit_soft_entry(now, Entry { outgoing: event, reported: false })
+        self.submit_soft_entry(now, event, false)
     }
 
     /// As [`submit_soft`](Self::submit_soft), with the most urgent priority from the start and nobody to
@@ -164,18 +173,23 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         expires_at: Instant,
     ) -> Result<Option<Command>, Full> {
         let outgoing = Outgoing { tag, frame, deadline: now, expires_at };
-        self.submit_soft_entry(now, Entry { outgoing, reported: true })
+        self.submit_soft_entry(now, outgoing, true)
     }
 
     #[inline]
-    fn submit_soft_entry(&mut self, now: Instant, entry: Entry) -> Result<Option<Command>, Full> {
-        let key = entry.outgoing.deadline.since_epoch().as_ticks();
-        if self.soft.is_idle() && now < entry.outgoing.expires_at {
-            self.soft.load_directly(key, entry);
-            return Ok(Some(self.load_soft(now, &entry.outgoing)));
+    fn submit_soft_entry(
+        &mut self,
+        now: Instant,
+        event: Outgoing,
+        reported: bool,
+    ) -> Result<Option<Command>, Full> {
+        let key = event.deadline.since_epoch().as_ticks();
+        if self.soft.is_idle() && now < event.expires_at {
+            self.soft.load_directly(key, Entry { outgoing: event, reported });
+            return Ok(Some(self.load_soft(now, &event)));
         }
-        let reserve = entry.outgoing.tag.reserve();
-        self.soft.push(key, entry, reserve).map(|()| None).map_err(|_| self.refuse())
+        let pushed = self.soft.push(key, Entry { outgoing: event, reported }, event.tag.reserve());
+        pushed.map(|()| None).map_err(|_| self.refuse())
     }
 
     /// Takes a non real-time event; the priority of its frame says how important it is. As
@@ -186,12 +200,12 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     /// [`Full`]; the event is counted and not sent.
     #[inline]
     pub fn submit_non_real_time(&mut self, now: Instant, event: Outgoing) -> Result<Option<Command>, Full> {
-        let entry = Entry { outgoing: event, reported: false };
         let key = u64::from(event.frame.id.priority().get());
         if self.non_real_time.is_idle() && now < event.expires_at {
-            self.non_real_time.load_directly(key, entry);
+            self.non_real_time.load_directly(key, Entry { outgoing: event, reported: false });
             return Ok(Some(Command::Load(Mailbox::NonRealTime, event.frame)));
         }
+        let entry = Entry { outgoing: event, reported: false };
         self.non_real_time.push(key, entry, event.tag.reserve()).map(|()| None).map_err(|_| self.refuse())
     }
 
@@ -292,10 +306,9 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
 
     #[inline]
     fn load_soft(&mut self, now: Instant, outgoing: &Outgoing) -> Command {
-        let priority = self.map.priority(outgoing.deadline.saturating_since(now));
-        self.promotion_at = self.map.promotion(outgoing.deadline, priority);
-        let id = outgoing.frame.id;
-        let id = Id::new(priority, id.tx_node(), id.etag());
+        let (priority, promotion_at) = self.map.assign(outgoing.deadline, now);
+        self.promotion_at = promotion_at;
+        let id = outgoing.frame.id.with_priority(priority);
         Command::Load(Mailbox::Soft, Frame::new(id, outgoing.frame.payload))
     }
 
