@@ -396,26 +396,39 @@ impl<
 
     /// What is to be done now; at most one command a call. O(SOFT + NRT), and what the services need.
     pub fn poll(&mut self, now: Instant, hard: &mut impl HardAccess<SLOTS>) -> Step {
-        let view = NodeView { exceptions: self.exceptions.total(), ..self.view };
-        // What has no room now is asked for again when a frame has been sent.
-        while self.etch.has_room_for_services() {
-            let Some(request) = self.services.poll(now, &view) else { break };
-            if let Some(command) = self.carry_out(request, now, hard) {
-                return Step::Command(command);
-            }
-        }
         loop {
-            match self.etch.poll(now) {
-                soft::Step::Command(command) => return Step::Command(command),
-                soft::Step::Exception(exception) => self.raise_soft(&exception, now),
-                soft::Step::SleepUntil(instant) => {
-                    let services = match self.etch.has_room_for_services() {
-                        true => self.services.next_wakeup(),
-                        false => Instant::FAR_FUTURE,
-                    };
-                    return Step::SleepUntil(instant.min(services));
+            while let Some(request) = self.next_request(now) {
+                if let Some(command) = self.carry_out(request, now, hard) {
+                    return Step::Command(command);
                 }
             }
+            match self.etch.poll(now) {
+                soft::Step::Command(command) => return Step::Command(command),
+                // What was discarded has left room for the services.
+                soft::Step::Exception(exception) => self.raise_soft(&exception, now),
+                soft::Step::SleepUntil(instant) => {
+                    return Step::SleepUntil(instant.min(self.services_wakeup()));
+                }
+            }
+        }
+    }
+
+    /// What has no room now is asked for again when a frame has left. If only the non real-time queue is
+    /// full, because more urgent events of others fill the bus, the clock must go on.
+    fn next_request(&mut self, now: Instant) -> Option<Request> {
+        let view = NodeView { exceptions: self.exceptions.total(), ..self.view };
+        match () {
+            () if self.etch.has_room_for_services() => self.services.poll(now, &view),
+            () if self.etch.has_room_for_urgent() => self.services.poll_urgent(now, &view),
+            () => None,
+        }
+    }
+
+    fn services_wakeup(&self) -> Instant {
+        match () {
+            () if self.etch.has_room_for_services() => self.services.next_wakeup(),
+            () if self.etch.has_room_for_urgent() => self.services.next_urgent_wakeup(),
+            () => Instant::FAR_FUTURE,
         }
     }
 

@@ -103,4 +103,12 @@ impl Services for ClockService {
     fn next_wakeup(&self) -> Instant {
         self.sync.next_wakeup()
     }
+
+    fn poll_urgent(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
+        self.poll(now, view)
+    }
+
+    fn next_urgent_wakeup(&self) -> Instant {
+        self.sync.next_wakeup()
+    }
 }

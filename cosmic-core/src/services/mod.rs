@@ -97,6 +97,15 @@ pub trait Services {
     fn poll(&mut self, now: Instant, view: &NodeView) -> Option<Request>;
     /// When something is to be done, if no frame comes before.
     fn next_wakeup(&self) -> Instant;
+    /// As [`poll`](Self::poll), but without any [`Request::Send`]: there is no room for it.
+    fn poll_urgent(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
+        let _ = (now, view);
+        None
+    }
+    /// As [`next_wakeup`](Self::next_wakeup), for [`poll_urgent`](Self::poll_urgent).
+    fn next_urgent_wakeup(&self) -> Instant {
+        Instant::FAR_FUTURE
+    }
 }
 
 /// No services: a node with fixed ids whose local time is global time.

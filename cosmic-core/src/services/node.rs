@@ -528,4 +528,17 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     fn next_wakeup(&self) -> Instant {
         if self.idle_until > Instant::EPOCH { self.idle_until } else { self.due_at() }
     }
+
+    fn poll_urgent(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
+        self.idle_until = Instant::EPOCH;
+        let request = self.clock.poll(now, view);
+        if let Some(event) = self.clock.take_event() {
+            self.tell(News::Clock(event));
+        }
+        request
+    }
+
+    fn next_urgent_wakeup(&self) -> Instant {
+        self.clock.next_wakeup()
+    }
 }

@@ -214,6 +214,11 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         self.non_real_time.len() + RESERVED < NRT
     }
 
+    /// Is there room for another urgent frame of the services?
+    pub fn has_room_for_urgent(&self) -> bool {
+        self.soft.len() < SOFT
+    }
+
     /// Is there room for another frame of the services in both queues?
     pub fn has_room_for_services(&self) -> bool {
         self.soft.len() < SOFT && self.non_real_time.len() < NRT
