@@ -54,8 +54,7 @@ fn survive(seed: u64) -> usize {
     check_agreement(&mut scenario, victim, dead.flatten());
     check_publishers(&mut scenario);
     check_subscribers(&scenario);
-    let delivered = scenario.journal.borrow().deliveries.len();
-    delivered
+    scenario.journal.borrow().deliveries.len()
 }
 
 /// In milliseconds: after the last disruption everything is as it should be, though events flow.

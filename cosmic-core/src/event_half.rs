@@ -668,10 +668,10 @@ impl<
     }
 
     fn wake_exception_handler(&mut self) {
-        if !self.exceptions.is_empty() {
-            if let Some(waker) = self.exception_waker.take() {
-                waker.wake();
-            }
+        if !self.exceptions.is_empty()
+            && let Some(waker) = self.exception_waker.take()
+        {
+            waker.wake();
         }
     }
 }

@@ -16,7 +16,7 @@ pub trait Content: Sized {
 
     /// How many bytes this value takes; [`Content::LEN`], but for [`Payload`].
     #[inline]
-    fn len(&self) -> usize {
+    fn encoded_len(&self) -> usize {
         Self::LEN
     }
 
@@ -97,8 +97,8 @@ impl Content for Payload {
     }
 
     #[inline]
-    fn len(&self) -> usize {
-        Payload::len(self)
+    fn encoded_len(&self) -> usize {
+        self.len()
     }
 
     #[inline]

@@ -14,7 +14,7 @@
 //!
 //! A subscription's filter is a mask over these bits, so a match is one AND and one compare. COSMIC
 //! section III-A.1 contradicts itself: its text says that an event with *more* than the required
-//! attributes matches; its example says that {A, B} matches <A>, <B>, <> but not <A, B, C>. Both exist
+//! attributes matches; its example says that `{A, B}` matches `<A>`, `<B>`, `<>` but not `<A, B, C>`. Both exist
 //! here: [`Filter::at_least`] is the text, [`Filter::at_most`] the example. A filter may also ask for a
 //! range of the value of an attribute.
 
@@ -63,7 +63,7 @@ impl Attribute {
     }
 
     /// The bytes of its value.
-    pub const fn len(self) -> usize {
+    pub const fn width(self) -> usize {
         match self {
             Self::TimeOfOccurrence => 4,
             Self::Location => 2,
@@ -114,9 +114,9 @@ impl Context {
         for present in Attribute::ALL {
             let value = if present == attribute { Some(value) } else { self.get(present) };
             let Some(value) = value else { continue };
-            let place = all.values.get_mut(at..at + present.len()).ok_or(NoRoom)?;
-            place.copy_from_slice(&value.to_be_bytes()[4 - present.len()..]);
-            at += present.len();
+            let place = all.values.get_mut(at..at + present.width()).ok_or(NoRoom)?;
+            place.copy_from_slice(&value.to_be_bytes()[4 - present.width()..]);
+            at += present.width();
         }
         Ok(all)
     }
@@ -127,7 +127,7 @@ impl Context {
             return None;
         }
         let start = len_of(self.presence & (attribute.bit() - 1));
-        let bytes = self.values.get(start..start + attribute.len())?;
+        let bytes = self.values.get(start..start + attribute.width())?;
         Some(bytes.iter().fold(0, |value, byte| value << 8 | u32::from(*byte)))
     }
 
@@ -170,7 +170,7 @@ fn len_of(presence: u8) -> usize {
     Attribute::ALL
         .iter()
         .filter(|attribute| presence & attribute.bit() != 0)
-        .map(|attribute| attribute.len())
+        .map(|attribute| attribute.width())
         .sum()
 }
 

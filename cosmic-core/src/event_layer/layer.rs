@@ -294,7 +294,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let Some(id) = entry.outlet.id(Priority::SOFT_MOST_URGENT) else { return Err(entry.why_closed()) };
         let mut bytes = [0; Payload::MAX_LEN];
         event.content.encode(bytes.get_mut(..C::LEN).ok_or(PublishError::TooLong)?);
-        let mut payload = Payload::truncated(bytes, event.content.len());
+        let mut payload = Payload::truncated(bytes, event.content.encoded_len());
         if entry.declared.context {
             payload = event.context.prepend(&payload).map_err(|_| PublishError::TooLong)?;
         } else if event.context != Context::EMPTY {
@@ -513,10 +513,10 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             return if same { Ok(at as u8) } else { Err(AnnounceError::Contradiction) };
         }
         let at = self.channels.iter().position(Option::is_none).ok_or(AnnounceError::TooManyChannels)?;
-        if let Some(etag) = declared.etag {
-            if self.look_up(etag).is_some() {
-                return Err(AnnounceError::EtagInUse);
-            }
+        if let Some(etag) = declared.etag
+            && self.look_up(etag).is_some()
+        {
+            return Err(AnnounceError::EtagInUse);
         }
         self.channels[at] = Some(Entry {
             declared: *declared,
@@ -528,11 +528,11 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             buffer: None,
             counters: ChannelCounters::default(),
         });
-        if let Some(etag) = declared.etag {
-            if let Err(error) = self.name(at as u8, etag) {
-                self.channels[at] = None;
-                return Err(error);
-            }
+        if let Some(etag) = declared.etag
+            && let Err(error) = self.name(at as u8, etag)
+        {
+            self.channels[at] = None;
+            return Err(error);
         }
         Ok(at as u8)
     }
@@ -573,10 +573,10 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     fn forget_unused(&mut self, at: u8) {
         let Some(place) = self.channels.get_mut(usize::from(at)) else { return };
         let unused = |entry: &mut Entry| entry.announcements == 0 && entry.subscriptions == 0;
-        if let Some(entry) = place.take_if(unused) {
-            if let Some(etag) = entry.etag {
-                self.by_etag.remove(etag.get().into());
-            }
+        if let Some(entry) = place.take_if(unused)
+            && let Some(etag) = entry.etag
+        {
+            self.by_etag.remove(etag.get().into());
         }
     }
 }

@@ -129,7 +129,7 @@ impl<const BITS: u32, const N: usize> IdMap<BITS, N> {
     /// turns, and so do the places of a bucket, or two keys would chase each other.
     fn displace(&mut self, moved: usize, homeless: &mut u32) {
         let key = *homeless >> BITS;
-        let at = if moved % 2 == 0 { Self::left(key) } else { Self::right(key) };
+        let at = if moved.is_multiple_of(2) { Self::left(key) } else { Self::right(key) };
         if let Some(bucket) = self.buckets.get_mut(at) {
             core::mem::swap(&mut bucket[moved / 2 % 2], homeless);
         }

@@ -28,10 +28,7 @@ impl ClockService {
         now: Instant,
     ) -> Result<Self, SyncConfigError> {
         let config = SyncConfig { calendar_digest: calendar.digest(), ..config };
-        let mut sync = match ClockSync::new(config, now) {
-            Ok(sync) => sync,
-            Err(error) => return Err(error),
-        };
+        let mut sync = ClockSync::new(config, now)?;
         sync.set_tx_node(tx_node);
         Ok(Self { sync, told: None, inhibited: false, last_event: None })
     }

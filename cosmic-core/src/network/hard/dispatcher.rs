@@ -112,10 +112,10 @@ impl<const N: usize> Dispatcher<N> {
         if self.revision != buffers.revision {
             self.revise(now, buffers);
         }
-        if !self.next.is_known {
-            if let Err(step) = self.find_next(now, buffers) {
-                return step;
-            }
+        if !self.next.is_known
+            && let Err(step) = self.find_next(now, buffers)
+        {
+            return step;
         }
         if now < self.next.wake {
             return Step::SleepUntil(self.next.wake.min(now + Self::LONGEST_SLEEP));
@@ -155,12 +155,15 @@ impl<const N: usize> Dispatcher<N> {
     fn release(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
         let punctual = now <= self.next.latest && self.next.accurate && !buffers.inhibited;
         let (_, places, mailbox) = buffers.parts_mut();
-        if let Some(Some(buffer)) = places.get_mut(usize::from(self.next.buffer)) {
-            if punctual && buffer.fresh && buffer.role.publishes && *mailbox == HardMailbox::Empty {
-                *mailbox = HardMailbox::Loaded(self.next.buffer);
-                self.enter(Stage::Deadline, self.next.deadline);
-                return Step::Command(Command::Load(MAILBOX, buffer.load()));
-            }
+        if let Some(Some(buffer)) = places.get_mut(usize::from(self.next.buffer))
+            && punctual
+            && buffer.fresh
+            && buffer.role.publishes
+            && *mailbox == HardMailbox::Empty
+        {
+            *mailbox = HardMailbox::Loaded(self.next.buffer);
+            self.enter(Stage::Deadline, self.next.deadline);
+            return Step::Command(Command::Load(MAILBOX, buffer.load()));
         }
         self.pass_over(now, buffers)
     }

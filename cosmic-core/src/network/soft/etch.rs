@@ -279,24 +279,24 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
             return Step::Command(Command::Load(Mailbox::NonRealTime, outgoing.frame));
         }
         let promote = self.soft.loaded().is_some() && now >= self.promotion_at;
-        if promote || self.soft.is_overtaken() {
-            if let Some(command) = self.soft.withdraw() {
-                return Step::Command(command);
-            }
+        if (promote || self.soft.is_overtaken())
+            && let Some(command) = self.soft.withdraw()
+        {
+            return Step::Command(command);
         }
-        if self.non_real_time.is_overtaken() {
-            if let Some(command) = self.non_real_time.withdraw() {
-                return Step::Command(command);
-            }
+        if self.non_real_time.is_overtaken()
+            && let Some(command) = self.non_real_time.withdraw()
+        {
+            return Step::Command(command);
         }
         Step::SleepUntil(self.next_wakeup())
     }
 
     fn attend(&mut self, now: Instant) -> Option<Attended> {
-        if self.soft.needs_attention(now) {
-            if let Some(attended) = self.soft.attend(now) {
-                return Some(attended);
-            }
+        if self.soft.needs_attention(now)
+            && let Some(attended) = self.soft.attend(now)
+        {
+            return Some(attended);
         }
         if self.non_real_time.needs_attention(now) { self.non_real_time.attend(now) } else { None }
     }
