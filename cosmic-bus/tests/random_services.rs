@@ -16,8 +16,8 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 
 #[test]
 fn clusters_agree_in_the_end_and_no_event_vanishes() {
-    let mut delivered = 0;
-    for seed in runs() {
+    let (runs, mut delivered) = (runs(), 0);
+    for &seed in &runs {
         match std::panic::catch_unwind(|| survive(seed)) {
             Ok(count) => delivered += count,
             Err(panic) => {
@@ -26,14 +26,14 @@ fn clusters_agree_in_the_end_and_no_event_vanishes() {
             }
         }
     }
-    assert!(delivered > 1_000, "{delivered}");
+    assert!(delivered > 300 * runs.len(), "{delivered}");
 }
 
 fn runs() -> Vec<u64> {
     if let Some(seed) = std::env::var("COSMIC_SEED").ok().and_then(|seed| seed.parse().ok()) {
         return vec![seed];
     }
-    let count = std::env::var("COSMIC_RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(60);
+    let count = std::env::var("COSMIC_RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(200);
     (1..=count).collect()
 }
 

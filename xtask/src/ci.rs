@@ -9,6 +9,7 @@ use anyhow::{Result, bail};
 
 use crate::build;
 use crate::demo;
+use crate::fuzz;
 use crate::plan;
 use crate::qemu;
 use crate::run::{self, step};
@@ -28,6 +29,7 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
     tally.add(documentation(workspace, &way));
     tally.add(plan::check(workspace).map(|()| Tally::default()));
     tally.add(suite::host(workspace));
+    tally.add(fuzz::smoke(workspace));
     tally.add(no_warnings(workspace, &way));
     tally.add(sizes(workspace, &way));
     tally.add(qemu::test(workspace, &way));

@@ -6,6 +6,7 @@ mod build;
 mod ci;
 mod demo;
 mod experiment;
+mod fuzz;
 mod plan;
 mod qemu;
 mod run;
@@ -46,6 +47,8 @@ enum Task {
     Size(size::Options),
     /// Everything that must hold before a change goes in.
     Ci,
+    /// Feed the decoders and whole nodes what no node would send; needs a C++ compiler.
+    Fuzz(fuzz::Options),
 }
 
 fn main() -> ExitCode {
@@ -71,6 +74,7 @@ fn perform(task: Task, workspace: &Workspace) -> anyhow::Result<ExitCode> {
         Task::Test(options) => return suite::task(workspace, &options),
         Task::Size(options) => size::task(workspace, &options)?,
         Task::Ci => return ci::task(workspace),
+        Task::Fuzz(options) => return fuzz::task(workspace, &options),
     }
     Ok(ExitCode::SUCCESS)
 }

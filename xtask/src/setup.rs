@@ -49,7 +49,11 @@ pub(crate) fn prepare(tools: &[Tool]) -> Result<TargetWay> {
     }
 }
 
-fn install_tools(tools: &[Tool]) -> Result<()> {
+/// Finds or installs these tools.
+///
+/// # Errors
+/// What is missing and cannot be installed here, and what to type.
+pub(crate) fn install_tools(tools: &[Tool]) -> Result<()> {
     let missing: Vec<Tool> = tools.iter().copied().filter(|tool| !tool.is_there()).collect();
     if missing.is_empty() {
         return Ok(());

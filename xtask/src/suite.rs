@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 
 use crate::build;
 use crate::demo;
+use crate::fuzz;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
@@ -26,6 +27,8 @@ pub(crate) struct Options {
 enum Part {
     /// On this machine: what needs neither the Arm target nor an emulator
     Host,
+    /// The fuzz targets of the core, for a moment each.
+    Fuzz,
     /// The firmware in the emulated cluster.
     Emulated,
     /// The core and RTIC in QEMU.
@@ -69,6 +72,9 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
     let mut tally = Tally::default();
     if parts.contains(&Part::Host) {
         tally.add(host(workspace));
+    }
+    if parts.contains(&Part::Fuzz) {
+        tally.add(fuzz::smoke(workspace));
     }
     if parts.contains(&Part::Emulated) {
         let way = setup::prepare(&setup::COMPARISON)?;
