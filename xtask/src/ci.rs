@@ -7,6 +7,7 @@ use std::process::{Command, ExitCode};
 
 use anyhow::{Result, bail};
 
+use crate::bench;
 use crate::build;
 use crate::demo;
 use crate::fuzz;
@@ -33,6 +34,7 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
     tally.add(no_warnings(workspace, &way));
     tally.add(sizes(workspace, &way));
     tally.add(qemu::test(workspace, &way));
+    tally.add(bench::check(workspace, &way));
     tally.add(suite::emulated(workspace, &way));
     tally.add(short_demo(workspace));
     Ok(tally.conclude())

@@ -2,6 +2,7 @@
 //!
 //! Everything that CI does is one of these, and runs the same on a desk.
 
+mod bench;
 mod build;
 mod ci;
 mod demo;
@@ -43,6 +44,8 @@ enum Task {
     Experiment(experiment::Options),
     /// Run all tests: on the host, in the emulated cluster, in QEMU.
     Test(suite::Options),
+    /// Count the instructions of the hot paths on a Cortex-M4F, and compare them with their limits.
+    Bench(bench::Options),
     /// Print flash and RAM of each image, and the share of the middleware.
     Size(size::Options),
     /// Everything that must hold before a change goes in.
@@ -72,6 +75,7 @@ fn perform(task: Task, workspace: &Workspace) -> anyhow::Result<ExitCode> {
         Task::Demo(options) => return demo::task(workspace, &options),
         Task::Experiment(options) => return experiment::task(workspace, &options),
         Task::Test(options) => return suite::task(workspace, &options),
+        Task::Bench(options) => return bench::task(workspace, &options),
         Task::Size(options) => size::task(workspace, &options)?,
         Task::Ci => return ci::task(workspace),
         Task::Fuzz(options) => return fuzz::task(workspace, &options),

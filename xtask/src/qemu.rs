@@ -1,10 +1,10 @@
 //! Runs the on-target tests in QEMU; `qemu-tests/README.md` says what its options mean.
 
 use std::fs;
-use std::io::Read as _;
+use std::io::{self, Read};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
@@ -55,7 +55,7 @@ fn run_and_compare(image: &Path, expected: &Path) -> Result<()> {
     let expected_text = fs::read(expected).with_context(|| {
         format!("{} cannot be read; it holds what the test is to print", expected.display())
     })?;
-    let (status, printed) = emulate(image)?;
+    let (status, printed, _) = emulate(image, Stdio::inherit())?;
     if let Some(difference) = difference(&expected_text, &printed) {
         bail!("its output is not {}: {difference} ({status})", expected.display());
     }
@@ -65,26 +65,46 @@ fn run_and_compare(image: &Path, expected: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Runs an image until it ends. What it prints to standard error goes to the terminal.
-fn emulate(image: &Path) -> Result<(ExitStatus, Vec<u8>)> {
+/// Runs a program that measures, and returns what it prints to standard error.
+pub(crate) fn measure(image: &Path) -> Result<String> {
+    let (status, _, measured) = emulate(image, Stdio::piped())?;
+    let measured = String::from_utf8_lossy(&measured).into_owned();
+    if !status.success() {
+        bail!("{} ended with {status}: {measured}", image.display());
+    }
+    Ok(measured)
+}
+
+/// Runs an image until it ends. Returns what it printed to standard output, and to standard error if that
+/// goes to a pipe.
+fn emulate(image: &Path, stderr: Stdio) -> Result<(ExitStatus, Vec<u8>, Vec<u8>)> {
     let mut child = Command::new("qemu-system-arm")
         .args(OPTIONS)
         .arg("-kernel")
         .arg(image)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
+        .stderr(stderr)
         .spawn()
         .context("qemu-system-arm cannot be started; `cargo xtask setup` installs it")?;
-    let mut stdout = child.stdout.take().context("QEMU has no output")?;
-    let reader = thread::spawn(move || {
-        let mut printed = Vec::new();
-        stdout.read_to_end(&mut printed).map(|_| printed)
-    });
+    let printed = read_all(child.stdout.take());
+    let measured = read_all(child.stderr.take());
     let status = wait(&mut child, PATIENCE)?;
-    match reader.join() {
-        Ok(printed) => Ok((status, printed.context("reading QEMU's output")?)),
-        Err(_) => bail!("reading QEMU's output failed"),
+    match (printed.join(), measured.join()) {
+        (Ok(printed), Ok(measured)) => Ok((status, printed?, measured?)),
+        _ => bail!("reading QEMU's output failed"),
     }
+}
+
+/// Reads a pipe, if there is one, while the program runs: a full pipe would stop it.
+fn read_all(pipe: Option<impl Read + Send + 'static>) -> JoinHandle<io::Result<Vec<u8>>> {
+    thread::spawn(move || {
+        let mut read = Vec::new();
+        if let Some(mut pipe) = pipe {
+            pipe.read_to_end(&mut read)?;
+        }
+        Ok(read)
+    })
 }
 
 /// Waits for the end, but not for ever: a test that hangs is a failure, not a CI job without end.

@@ -166,7 +166,7 @@ fn main() -> ! {
 
 fn publish() {
     let content = black_box([0x5A; 8]);
-    let (now, ready) = black_box((NOW, READY));
+    let now = black_box(NOW);
     for (what, channel) in [("publish soft", soft(0)), ("publish non real-time", BULK)] {
         bench::<4, _>(
             what,
