@@ -333,3 +333,23 @@ const _: fn() = || {
     fn services<S: Services>() {}
     services::<Full>();
 };
+
+/// An event that is published before the one before it was sent takes its place, and the publisher hears so.
+#[test]
+fn a_replaced_event_is_an_exception() {
+    let (mut cluster, stations, journal) = start(&[Kind::publisher(), Kind::plain(2)], FaultModel::none());
+    run(&mut cluster, 3_000);
+    let count = |journal: &Shared| {
+        let replaced = |it: &&(u8, ExceptionKind)| **it == (1, ExceptionKind::EventReplaced);
+        journal.borrow().exceptions.iter().filter(replaced).count()
+    };
+    let before = count(&journal);
+    cluster.visit(stations[0], |node| {
+        let again = node.announce(&HARD).unwrap();
+        for value in 0..3 {
+            node.publish(&again, &Event::new(value)).unwrap();
+        }
+    });
+    run(&mut cluster, 20);
+    assert!(count(&journal) >= before + 2);
+}

@@ -240,7 +240,9 @@ impl<
     ) -> Result<Option<Command>, PublishError> {
         match self.layer.publish(now, publication, event)? {
             Published::Hard(buffer, payload) => {
-                hard.with(|buffers| buffers.publish(buffer, payload));
+                if hard.with(|buffers| buffers.publish(buffer, payload)) {
+                    self.raise_replaced(publication.tag(), now);
+                }
                 Ok(None)
             }
             Published::Soft(outgoing) => {
@@ -629,6 +631,11 @@ impl<
         let frame = Frame::new(Id::new(priority, id.tx_node(), id.etag()), outgoing.frame.payload);
         let accepted = self.layer.deliver(outgoing.tag, &frame, now);
         self.note(accepted, now);
+    }
+
+    #[cold]
+    fn raise_replaced(&mut self, tag: Tag, now: Instant) {
+        self.raise(self.layer.subject(tag), ExceptionKind::EventReplaced, now);
     }
 
     #[cold]

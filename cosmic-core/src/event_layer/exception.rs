@@ -53,11 +53,13 @@ pub enum ExceptionKind {
     DuplicateTxNode,
     /// The controller has left the bus after too many errors.
     BusOff,
+    /// Publisher: a hard real-time event was replaced by a later one before its slot came.
+    EventReplaced,
 }
 
 impl ExceptionKind {
     /// How many kinds there are.
-    pub const COUNT: usize = 16;
+    pub const COUNT: usize = 17;
 }
 
 /// Exceptions on their way to the application: the first `N` are kept, all are counted.

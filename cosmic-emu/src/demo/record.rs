@@ -135,6 +135,7 @@ pub const EXCEPTIONS: &[ExceptionKind] = &[
     ExceptionKind::LayoutMismatch,
     ExceptionKind::DuplicateTxNode,
     ExceptionKind::BusOff,
+    ExceptionKind::EventReplaced,
 ];
 
 fn exception_kind(number: u8) -> Option<ExceptionKind> {

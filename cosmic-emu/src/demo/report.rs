@@ -408,5 +408,6 @@ pub const fn name(kind: ExceptionKind) -> &'static str {
         ExceptionKind::LayoutMismatch => "layout mismatch",
         ExceptionKind::DuplicateTxNode => "duplicate TxNode",
         ExceptionKind::BusOff => "bus-off",
+        ExceptionKind::EventReplaced => "event replaced before its slot",
     }
 }

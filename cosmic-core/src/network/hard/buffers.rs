@@ -268,15 +268,16 @@ impl<const N: usize> HrtBuffers<N> {
     }
 
     /// Puts an event into the buffer, to be sent in the next slot. An older one that is still there is
-    /// replaced and counted.
+    /// replaced and counted; says whether there was one.
     #[inline]
-    pub fn publish(&mut self, id: BufferId, payload: Payload) {
-        if let Some(buffer) = self.buffer_mut(id.0) {
-            buffer.outgoing = payload;
-            if core::mem::replace(&mut buffer.fresh, true) {
-                buffer.counters.replaced = buffer.counters.replaced.wrapping_add(1);
-            }
+    pub fn publish(&mut self, id: BufferId, payload: Payload) -> bool {
+        let Some(buffer) = self.buffer_mut(id.0) else { return false };
+        buffer.outgoing = payload;
+        let replaced = core::mem::replace(&mut buffer.fresh, true);
+        if replaced {
+            buffer.counters.replaced = buffer.counters.replaced.wrapping_add(1);
         }
+        replaced
     }
 
     /// Fetches the event that became visible last, once.
