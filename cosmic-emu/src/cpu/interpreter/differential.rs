@@ -115,7 +115,7 @@ fn other_core() -> Unicorn<'static, ()> {
 
 /// What the other core made of an instruction.
 enum Theirs {
-    Done(State),
+    Done(Box<State>),
     Fault,
     /// It refuses some encodings whose effect is unpredictable, which ours executes.
     Undefined,
@@ -161,7 +161,7 @@ fn theirs(unicorn: &mut Unicorn<'static, ()>, before: &State, first: u16, second
     after.flags = read(RegisterARM::XPSR as i32) & APSR;
     after.fpscr = read(RegisterARM::FPSCR as i32) & float::FLAGS;
     unicorn.mem_read(RAM.base.into(), &mut after.ram).unwrap();
-    Theirs::Done(after)
+    Theirs::Done(Box::new(after))
 }
 
 fn core_register(n: usize) -> i32 {
