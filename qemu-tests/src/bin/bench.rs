@@ -1,7 +1,20 @@
-//! What the middleware costs, in instructions and in bytes of RAM. `cargo xtask bench` shows it as a table.
+//! What the middleware costs, in instructions and in bytes of RAM. `cargo xtask bench` shows it as a table
+//! and compares it with `bench.toml`.
 //!
-//! Each piece of code runs on a node of its own that has not done it before, so that every run finds the
-//! same state. Measured values go to standard error.
+//! What is counted begins with the call of the middleware and ends when the last effect named is there:
+//!
+//! | line | until |
+//! |---|---|
+//! | publish | length, data and identifier have been written to the registers of a mailbox |
+//! | publish behind 8 others | the event is in the queue; its deadline is earlier than theirs, the longest way |
+//! | release | as for publish, from the wake-up of the calendar task |
+//! | receive | each subscriber has the event, decoded, in its own memory |
+//! | reject | the frame has been counted as foreign |
+//! | deliver | as for receive, from the wake-up of the calendar task |
+//! | tick | the calendar task knows how long to sleep, or what to do |
+//!
+//! Each run has a node of its own that has not done it before, so that all find the same state, and its
+//! effect is checked afterwards. Measured values go to standard error.
 #![no_std]
 #![no_main]
 
@@ -71,7 +84,7 @@ const NOW: Instant = Instant::from_epoch(Duration::from_millis(1));
 const READY: Instant = Instant::from_epoch(Duration::from_millis(2));
 
 struct Node<const CHANNELS: usize> {
-    half: EventHalf<4, CHANNELS, CHANNELS, 16, 8, 8>,
+    half: EventHalf<4, CHANNELS, CHANNELS, 16, 16, 8>,
     buffers: HrtBuffers<4>,
     dispatcher: Dispatcher<4>,
 }
@@ -95,8 +108,8 @@ impl<const CHANNELS: usize> Node<CHANNELS> {
     }
 
     #[inline]
-    fn publish(&mut self, now: Instant, publication: &Publication<[u8; 8]>, content: &[u8; 8]) {
-        let published = self.half.publish(now, publication, &Event::new(*content), &mut self.buffers);
+    fn publish(&mut self, now: Instant, publication: &Publication<[u8; 8]>, event: &Event<[u8; 8]>) {
+        let published = self.half.publish(now, publication, event, &mut self.buffers);
         if let Ok(Some(Command::Load(mailbox, frame))) = published {
             store(mailbox, &frame);
         }
@@ -118,8 +131,18 @@ impl<const CHANNELS: usize> Node<CHANNELS> {
     }
 }
 
-/// The registers of a mailbox as bxCAN has them: identifier, length, data low and high.
-static mut MAILBOXES: [[u32; 4]; 3] = [[0; 4]; 3];
+/// A node, and what an application on it holds.
+// In this order the application's part is near the start, so that finding it is not counted either.
+#[repr(C)]
+struct Prepared<const CHANNELS: usize, H> {
+    application: H,
+    node: Node<CHANNELS>,
+}
+
+/// The registers of a mailbox as bxCAN has them: length, data low and high, identifier.
+type Registers = [u32; 4];
+
+static mut MAILBOXES: [Registers; 3] = [[0; 4]; 3];
 
 /// What a driver does to load a mailbox.
 #[inline]
@@ -137,27 +160,46 @@ fn store(mailbox: Mailbox, frame: &Frame) {
     }
 }
 
-/// Counts `code` on nodes that `make` has prepared, a fresh one for each run.
+/// Has a frame with [`CONTENT`] been stored since the last call?
+fn take_stored(mailbox: Mailbox) -> bool {
+    // SAFETY: as in `store`.
+    let stored = unsafe { core::mem::take(&mut *addr_of_mut!(MAILBOXES[mailbox as usize])) };
+    stored[..3] == [8, 0x5A5A_5A5A, 0x5A5A_5A5A] && stored[3] & 0b111 == 0b101
+}
+
+const CONTENT: [u8; 8] = [0x5A; 8];
+
+/// Counts `code` on nodes that `make` has prepared, a fresh one for each run, and prints the count. `done`
+/// tells whether it did on a node what it should.
 fn bench<const CHANNELS: usize, H>(
-    what: &str,
-    make: impl Fn() -> (Node<CHANNELS>, H),
+    what: impl core::fmt::Display,
+    make: impl Fn() -> Prepared<CHANNELS, H>,
     mut code: impl FnMut(&mut Node<CHANNELS>, &mut H),
     done: impl Fn(&Node<CHANNELS>, &H) -> bool,
 ) {
-    let mut nodes: [(Node<CHANNELS>, H); count::RUNS as usize] = core::array::from_fn(|_| make());
-    let counted = count::each(black_box(&mut nodes), |(node, handle)| code(node, handle));
-    assert!(nodes.iter().all(|(node, handle)| done(node, handle)), "{} did not do its work", what);
+    let mut nodes: [Prepared<CHANNELS, H>; count::RUNS as usize] = core::array::from_fn(|_| make());
+    let counted = count::each(black_box(&mut nodes), move |it| code(&mut it.node, &mut it.application));
+    assert!(nodes.iter().all(|it| done(&it.node, &it.application)), "{}: not done", what);
     measured!("{}: {} instructions, exact {}", what, counted.instructions, counted.exact);
+}
+
+/// A new node, on which an application does this before.
+fn with<const CHANNELS: usize, H>(prepare: impl FnOnce(&mut Node<CHANNELS>) -> H) -> Prepared<CHANNELS, H> {
+    let mut node = Node::new();
+    Prepared { application: prepare(&mut node), node }
 }
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
     Mono::start();
     publish();
-    receive::<2>("receive, 1 channel", 1);
-    receive::<16>("receive, 16 channels", 16);
-    receive::<64>("receive, 64 channels", 64);
-    hard_receive();
+    publish_behind_others();
+    publish_hard();
+    receive::<2>("1 channel", 1);
+    receive::<16>("16 channels", 16);
+    receive::<64>("64 channels", 64);
+    receive_by_four();
+    receive_hard();
     ticks();
     memory();
     println!("measured");
@@ -165,17 +207,44 @@ fn main() -> ! {
 }
 
 fn publish() {
-    let content = black_box([0x5A; 8]);
-    let now = black_box(NOW);
-    for (what, channel) in [("publish soft", soft(0)), ("publish non real-time", BULK)] {
+    let (now, content) = black_box((NOW, CONTENT));
+    for (what, channel, mailbox) in [
+        ("publish, soft real-time", soft(0), Mailbox::Soft),
+        ("publish, non real-time", BULK, Mailbox::NonRealTime),
+    ] {
         bench::<4, _>(
             what,
             || with(|node| node.announce(&channel)),
-            |node, publication| node.publish(now, publication, &content),
+            move |node, publication| node.publish(now, publication, &Event::new(content)),
             |_, _| true,
         );
+        assert!(take_stored(mailbox), "{}: nothing stored", what);
     }
-    let hard_publisher = || {
+}
+
+fn publish_behind_others() {
+    let (now, content) = black_box((NOW, CONTENT));
+    let earlier = |step: u64| NOW + Duration::from_millis(20 - step);
+    bench::<4, _>(
+        "publish, soft real-time, behind 8 others",
+        || {
+            with(|node| {
+                let publication = node.announce(&soft(0));
+                // The first goes to the mailbox.
+                for step in 0..9 {
+                    node.publish(NOW, &publication, &Event::new(CONTENT).deadline(earlier(step)));
+                }
+                publication
+            })
+        },
+        move |node, publication| node.publish(now, publication, &Event::new(content)),
+        |node, _| node.half.waiting() == 10,
+    );
+}
+
+fn publish_hard() {
+    let (now, ready, content) = black_box((NOW, READY, CONTENT));
+    let publisher = || {
         with(|node: &mut Node<4>| {
             let publication = node.announce(&hard(0));
             node.settle(NOW);
@@ -183,131 +252,140 @@ fn publish() {
         })
     };
     bench(
-        "publish hard, into the buffer",
-        hard_publisher,
-        |node, publication| {
-            node.publish(now, publication, &content);
-        },
+        "publish, hard real-time, into the buffer",
+        publisher,
+        move |node, publication| node.publish(now, publication, &Event::new(content)),
         |_, _| true,
     );
     bench(
-        "publish hard, with the release",
-        hard_publisher,
-        |node, publication| {
-            node.publish(now, publication, &content);
-            let _ = black_box(node.tick(READY));
+        "publish, hard real-time, and release",
+        publisher,
+        move |node, publication| {
+            node.publish(now, publication, &Event::new(content));
+            let _ = node.tick(ready);
         },
         |_, _| true,
     );
+    assert!(take_stored(Mailbox::Hard), "hard real-time: nothing stored");
 }
 
-fn receive<const CHANNELS: usize>(what: &str, channels: u16) {
-    let subscribers = || {
+/// A frame on a soft real-time channel.
+fn frame(etag: Etag) -> Frame {
+    Frame::new(Id::new(Priority::new(30), OTHER, etag), Payload::full(CONTENT))
+}
+
+/// A node that subscribes to some channels. The event is one of the last of them, and the foreign ones
+/// are the first that follows, whose place in the map is among the others, and one far away.
+fn receive<const CHANNELS: usize>(channels: &str, number: u16) {
+    let last = soft(number - 1);
+    let subscriber = || {
         with(|node: &mut Node<CHANNELS>| {
-            let mut last = node.subscribe(&soft(0));
-            for number in 1..channels {
-                last = node.subscribe(&soft(number));
+            for other in 0..number - 1 {
+                node.subscribe(&soft(other));
             }
-            last
+            (node.subscribe(&last), None)
         })
     };
-    let frame = |etag| {
-        let id = Id::new(Priority::new(30), OTHER, Etag::new(etag).unwrap());
-        black_box(Frame::new(id, Payload::full([7; 8])))
-    };
-    let wanted = frame(Etag::BOUND_LAST.get() - channels + 1);
     let received_at = black_box(NOW);
+    let below = |distance| Etag::new(Etag::BOUND_LAST.get() - distance).unwrap();
+    let wanted = black_box(frame(below(number - 1)));
     bench(
-        what,
-        || {
-            let (node, subscription) = subscribers();
-            (node, (subscription, None))
-        },
-        |node, (subscription, got)| {
+        Name("receive", channels),
+        subscriber,
+        move |node, (subscription, got)| {
             node.half.on_frame(&wanted, received_at);
             *got = node.half.next(subscription);
         },
-        |_, (_, got)| got.is_some_and(|got: Delivered<_>| got.content == [7; 8]),
+        |_, (_, got): &(_, Option<Delivered<_>>)| got.is_some_and(|got| got.content == CONTENT),
     );
-    let foreign = frame(Etag::BOUND_LAST.get() - 1000);
-    bench(
-        rejects(channels),
-        subscribers,
-        |node, _| node.half.on_frame(&foreign, received_at),
-        |node, _| node.half.foreign_frames() == 1,
-    );
-}
-
-fn rejects(channels: u16) -> &'static str {
-    match channels {
-        1 => "reject, 1 channel",
-        16 => "reject, 16 channels",
-        _ => "reject, 64 channels",
+    for (what, distance) in [("reject", 1000), ("reject a neighbour", number)] {
+        let foreign = black_box(frame(below(distance)));
+        bench(
+            Name(what, channels),
+            subscriber,
+            move |node, _| node.half.on_frame(&foreign, received_at),
+            |node, _: &(_, Option<Delivered<_>>)| node.half.foreign_frames() == 1,
+        );
     }
 }
 
-fn hard_receive() {
-    let frame = Frame::new(Id::new(Priority::HARD, OTHER, slot(1, OTHER, 4).etag), Payload::full([7; 8]));
-    let frame = black_box(frame);
+fn receive_by_four() {
+    let received_at = black_box(NOW);
+    let wanted = black_box(frame(Etag::BOUND_LAST));
+    bench::<4, _>(
+        "receive, 4 subscribers",
+        || with(|node| [(); 4].map(|()| (node.subscribe(&soft(0)), None))),
+        move |node, subscribers| {
+            node.half.on_frame(&wanted, received_at);
+            for (subscription, got) in subscribers {
+                *got = node.half.next(subscription);
+            }
+        },
+        |_, subscribers: &[(_, Option<Delivered<_>>); 4]| subscribers.iter().all(|(_, got)| got.is_some()),
+    );
+}
+
+fn receive_hard() {
+    let id = Id::new(Priority::HARD, OTHER, slot(1, OTHER, 4).etag);
     let arrived_at = Instant::from_epoch(Duration::from_micros(4_300));
+    let delivery = Instant::from_epoch(Duration::from_millis(5));
+    let (frame, arrived_at, delivery) =
+        black_box((Frame::new(id, Payload::full(CONTENT)), arrived_at, delivery));
     let subscriber = || {
         with(|node: &mut Node<4>| {
             let subscription = node.subscribe(&hard(1));
             node.settle(NOW);
             node.settle(Instant::from_epoch(Duration::from_millis(4)));
-            subscription
+            (subscription, None)
         })
     };
     bench(
-        "receive hard, in the interrupt",
+        "receive, hard real-time, in the interrupt",
         subscriber,
-        |node, _| {
-            assert!(node.buffers.on_frame(&frame, arrived_at));
-        },
-        |_, _| true,
+        move |node, _| _ = node.buffers.on_frame(&frame, arrived_at),
+        |_, _: &(_, Option<Delivered<_>>)| true,
     );
-    let delivery = Instant::from_epoch(Duration::from_millis(5));
     bench(
-        "receive hard, delivery to the subscriber",
+        "deliver, hard real-time",
         || {
-            let (mut node, subscription) = subscriber();
-            node.buffers.on_frame(&frame, arrived_at);
-            (node, subscription)
+            let mut prepared = subscriber();
+            prepared.node.buffers.on_frame(&frame, arrived_at);
+            prepared
         },
-        |node, subscription| {
+        move |node, (subscription, got)| {
             if let hard::Step::Notify(buffer) = node.tick(delivery) {
                 node.half.on_notify(buffer, delivery, &mut node.buffers);
             }
-            assert!(black_box(node.half.next(subscription)).is_some());
+            *got = node.half.next(subscription);
         },
-        |_, _| true,
+        |_, (_, got)| got.is_some_and(|got| got.content == CONTENT),
     );
 }
 
 fn ticks() {
+    let (now, ready) = black_box((NOW, READY));
     let node = || {
         with(|node: &mut Node<4>| {
             node.announce(&hard(0));
             node.subscribe(&hard(1));
             node.settle(NOW);
+            hard::Step::Continue
         })
     };
+    let sleeps = |_: &Node<4>, step: &hard::Step| matches!(step, hard::Step::SleepUntil(_));
+    bench("tick, nothing due", node, move |node, step| *step = node.tick(now), sleeps);
     bench(
-        "calendar tick, nothing due",
+        "tick, slot without event",
         node,
-        |node, ()| {
-            let _ = black_box(node.tick(NOW));
-        },
-        |_, _| true,
+        move |node, step| *step = node.tick(ready),
+        |_, step| matches!(step, hard::Step::Notify(_)),
     );
-    bench(
-        "calendar tick, slot without event",
-        node,
-        |node, ()| {
-            let _ = black_box(node.tick(READY));
-        },
-        |_, _| true,
-    );
+    let after_slot = || {
+        let mut prepared = node();
+        let _ = prepared.node.tick(READY);
+        prepared
+    };
+    bench("tick, looks for the next instant", after_slot, move |node, step| *step = node.tick(ready), sleeps);
 }
 
 /// The differences of sizes of nodes with more and fewer places.
@@ -320,14 +398,17 @@ fn memory() {
         - size_of::<HrtBuffers<8>>()
         - size_of::<Dispatcher<8>>())
         / 8;
-    measured!("RAM of a channel: {} bytes", channel);
-    measured!("RAM of a subscription: {} bytes", subscription);
-    measured!("RAM of a queued event: {} bytes", event);
-    measured!("RAM of a slot of the calendar: {} bytes", slot);
+    measured!("RAM, channel: {} bytes", channel);
+    measured!("RAM, subscription: {} bytes", subscription);
+    measured!("RAM, queued event: {} bytes", event);
+    measured!("RAM, slot of the calendar: {} bytes", slot);
 }
 
-fn with<const CHANNELS: usize, H>(prepare: impl FnOnce(&mut Node<CHANNELS>) -> H) -> (Node<CHANNELS>, H) {
-    let mut node = Node::new();
-    let handle = prepare(&mut node);
-    (node, handle)
+/// What is measured, and with how many channels.
+struct Name<'a>(&'a str, &'a str);
+
+impl core::fmt::Display for Name<'_> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{}, {}", self.0, self.1)
+    }
 }
