@@ -18,12 +18,12 @@
 //! A method that returns a [`Command`] wants it carried out by the driver before the next call.
 
 use crate::calendar::{Calendar, Slot};
-use crate::can::{Command, Frame, Id, Mailbox, Outcome, Priority, TxNode};
+use crate::can::{Command, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 pub use crate::event_layer::Delivered;
 use crate::event_layer::{
     Accepted, AnnounceError, Attributes, Channel, ChannelCounters, Content, Declared, Event, EventLayer,
     Exception, ExceptionKind, Exceptions, Filter, MessagePublisher, MessageSubscriber, Policy, Publication,
-    PublishError, Published, Received, SubscribeError, Subscription,
+    PublishError, Published, Quality, Received, SubscribeError, Subscription, encode,
 };
 use crate::network::fragments::Message;
 use crate::network::hard::{Attach, AttachError, BufferId, Counters, HrtBuffers, Role};
@@ -238,10 +238,30 @@ impl<
         event: &Event<C>,
         hard: &mut impl HardAccess<SLOTS>,
     ) -> Result<Option<Command>, PublishError> {
-        match self.layer.publish(now, publication, event)? {
+        let (payload, quality) = (encode(&event.content), Quality::of(event));
+        if quality.is_plain() {
+            self.submit::<true>(now, publication.tag(), payload, &quality, hard)
+        } else {
+            self.submit::<false>(now, publication.tag(), payload, &quality, hard)
+        }
+    }
+
+    /// Publishes an event, `PLAIN` or with times or context of its own. In two versions, so that the one
+    /// does not bear what the other costs.
+    #[inline(never)]
+    fn submit<const PLAIN: bool>(
+        &mut self,
+        now: Instant,
+        tag: Tag,
+        payload: Payload,
+        quality: &Quality,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Option<Command>, PublishError> {
+        let quality = if PLAIN { &Quality::PLAIN } else { quality };
+        match self.layer.publish(now, tag, payload, quality)? {
             Published::Hard(buffer, payload) => {
                 if hard.with(|buffers| buffers.publish(buffer, payload)) {
-                    self.raise_replaced(publication.tag(), now);
+                    self.raise_replaced(tag, now);
                 }
                 Ok(None)
             }
@@ -309,7 +329,7 @@ impl<
         match self.layer.receive(frame, received_at) {
             Received::Delivered => {}
             Received::Foreign => return self.reject(frame, received_at),
-            Received::For(tag) => self.deliver(tag, frame, received_at),
+            Received::Undelivered => self.deliver(frame, received_at),
         }
         if self.is_mine(frame) {
             // No node hears itself: another one uses this TxNode.
@@ -369,29 +389,46 @@ impl<
 
     /// The dispatcher has said that something happened to an HRT message buffer.
     pub fn on_notify(&mut self, buffer: BufferId, now: Instant, hard: &mut impl HardAccess<SLOTS>) {
-        let (delivery, counters, etag, mismatch) = hard.with(|buffers| {
-            (buffers.take(buffer), buffers.counters(buffer), buffers.etag(buffer), buffers.is_inhibited())
-        });
-        if let Some((delivery, route)) = delivery.and_then(|it| Some((it, self.layer.look_up(it.etag)?))) {
-            let accepted = self.layer.deliver(route.tag, &delivery.frame(), now);
-            self.note(accepted, now);
+        let (delivery, counters) = hard.with(|buffers| (buffers.take(buffer), buffers.counters(buffer)));
+        if let Some(delivery) = delivery {
+            let frame = delivery.frame();
+            if let Received::Undelivered = self.layer.receive(&frame, now) {
+                self.deliver(&frame, now);
+            }
         }
-        let (Some(counters), Some(etag)) = (counters, etag) else { return };
+        let Some(counters) = counters else { return };
         let Some(seen) = self.seen.get_mut(buffer.index()) else { return };
         let before = core::mem::replace(seen, counters);
-        let subject = self.layer.subject_of(etag);
+        if before.exceptional() != counters.exceptional() {
+            let mismatch = hard.with(|buffers| buffers.is_inhibited());
+            let etag = hard.with(|buffers| buffers.etag(buffer));
+            let subject = etag.and_then(|etag| self.layer.subject_of(etag));
+            self.raise_hard(subject, (&before, &counters), mismatch, now);
+        }
+    }
+
+    /// Raises what has happened in the slots of a buffer.
+    fn raise_hard(
+        &mut self,
+        subject: Option<Subject>,
+        (before, after): (&Counters, &Counters),
+        mismatch: bool,
+        at: Instant,
+    ) {
         let silence = if mismatch { ExceptionKind::CalendarMismatch } else { ExceptionKind::ClockOutOfBound };
-        for (kind, before, after) in [
-            (ExceptionKind::OmissionDegreeExceeded, before.omitted, counters.omitted),
-            (ExceptionKind::NothingPublished, before.unused, counters.unused),
-            (ExceptionKind::SlotSkipped, before.skipped, counters.skipped),
-            (ExceptionKind::MissedEvent, before.missed, counters.missed),
-            (ExceptionKind::QueueFull, before.overrun, counters.overrun),
-            (silence, before.inhibited, counters.inhibited),
-        ] {
+        let kinds = [
+            ExceptionKind::OmissionDegreeExceeded,
+            ExceptionKind::NothingPublished,
+            ExceptionKind::SlotSkipped,
+            ExceptionKind::MissedEvent,
+            ExceptionKind::QueueFull,
+            silence,
+        ];
+        let counts = before.exceptional().into_iter().zip(after.exceptional());
+        for (kind, (before, after)) in kinds.into_iter().zip(counts) {
             // A buffer that was attached anew counts from zero.
             let times = if after >= before { after - before } else { after };
-            self.exceptions.raise_times(Exception { subject, kind, at: now }, times);
+            self.exceptions.raise_times(Exception { subject, kind, at }, times);
         }
         self.wake_exception_handler();
     }
@@ -613,10 +650,14 @@ impl<
         }
     }
 
+    /// The long way: out of line, and the channel is looked up again, so that the short one needs fewer
+    /// registers.
     #[inline(never)]
-    fn deliver(&mut self, tag: Tag, frame: &Frame, received_at: Instant) {
-        let accepted = self.layer.deliver(tag, frame, received_at);
-        self.note(accepted, received_at);
+    fn deliver(&mut self, frame: &Frame, received_at: Instant) {
+        if let Some(route) = self.layer.look_up(frame.id.etag()) {
+            let accepted = self.layer.deliver(route.tag, frame, received_at);
+            self.note(accepted, received_at);
+        }
     }
 
     /// A publication reaches the subscribers on this node, too, with the priority that its frame would

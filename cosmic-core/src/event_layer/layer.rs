@@ -1,7 +1,6 @@
 //! The event channel handler (ECH): announce, publish, subscribe, and delivery to the queues of the
 //! subscribers.
 
-use super::attributes::Attributes;
 use super::channel::{
     Channel, ChannelCounters, Declared, Entry, NONE, Outlet, Policy, Publication, Route, Subscriber,
     Subscription,
@@ -9,10 +8,10 @@ use super::channel::{
 use super::content::Content;
 use super::filter::{Context, Filter};
 use super::pool::{Pool, PoolFull, Waiting};
-use crate::can::{Etag, Frame, Payload, Priority, TxNode};
+use crate::can::{Etag, Frame, TxNode};
 use crate::network::hard::BufferId;
 use crate::network::id_map::IdMap;
-use crate::network::soft::{Outgoing, PriorityMap, Tag};
+use crate::network::soft::{PriorityMap, Tag};
 use crate::time::Instant;
 use crate::uid::Subject;
 use core::task::Waker;
@@ -46,68 +45,6 @@ pub enum SubscribeError {
     TooManySubscriptions,
 }
 
-/// Why an event was not published. It has been counted.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum PublishError {
-    /// The publication has been cancelled.
-    NotAnnounced,
-    /// The broker has not told the channel's etag, or the node's TxNode, yet.
-    NotBound,
-    /// The deadline has passed, or the event expires before it.
-    Deadline,
-    /// A hard real-time event has no deadline of its own: the calendar has.
-    HardDeadline,
-    /// Content and context together are longer than a frame, or than the slot of the calendar; or the
-    /// channel was declared without context.
-    TooLong,
-    /// The queue towards the bus is full.
-    QueueFull,
-}
-
-/// An event as an application publishes it.
-///
-/// ```
-/// use cosmic_core::event_layer::Event;
-/// use cosmic_core::time::{Duration, Instant};
-///
-/// let now = Instant::EPOCH;
-/// let event = Event::new(21_i16).deadline(now + Duration::from_millis(5));
-/// ```
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Event<C> {
-    /// What is published.
-    pub content: C,
-    /// The attributes of context.
-    pub context: Context,
-    /// When it should have been sent; `None`: as the channel says. Not for hard real-time events.
-    pub deadline: Option<Instant>,
-    /// When it is of no use any more; `None`: as the channel says. Not for hard real-time events.
-    pub expires_at: Option<Instant>,
-}
-
-impl<C> Event<C> {
-    /// An event with the channel's own quality and no context.
-    pub const fn new(content: C) -> Self {
-        Self { content, context: Context::EMPTY, deadline: None, expires_at: None }
-    }
-
-    /// With this transmission deadline.
-    pub fn deadline(self, deadline: Instant) -> Self {
-        Self { deadline: Some(deadline), ..self }
-    }
-
-    /// With this expiration.
-    pub fn expires_at(self, expires_at: Instant) -> Self {
-        Self { expires_at: Some(expires_at), ..self }
-    }
-
-    /// With these attributes of context.
-    pub fn context(self, context: Context) -> Self {
-        Self { context, ..self }
-    }
-}
-
 /// An event as a subscriber gets it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -123,18 +60,6 @@ pub struct Delivered<C> {
     pub received_at: Instant,
 }
 
-/// Where a published event goes; the owner of the layer takes it there.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[must_use]
-pub enum Published {
-    /// Into this HRT message buffer.
-    Hard(BufferId, Payload),
-    /// To the soft real-time queue.
-    Soft(Outgoing),
-    /// To the non real-time queue.
-    NonRealTime(Outgoing),
-}
-
 /// The channels, subscriptions and waiting events of a node: room for `CHANNELS` (a power of two),
 /// `SUBSCRIPTIONS`, and `EVENTS` in all queues together.
 #[derive(Debug)]
@@ -147,7 +72,7 @@ pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const E
     by_etag: IdMap<{ Route::BITS }, CHANNELS>,
     pool: Pool<EVENTS>,
     subscribers: [Subscriber; SUBSCRIPTIONS],
-    channels: [Option<Entry>; CHANNELS],
+    pub(super) channels: [Option<Entry>; CHANNELS],
 }
 
 /// What a received frame is.
@@ -157,8 +82,8 @@ pub(crate) enum Received {
     /// It belongs to no channel that is known here.
     Foreign,
     Delivered,
-    /// It is still to be delivered.
-    For(Tag),
+    /// It belongs to a channel, and is still to be delivered.
+    Undelivered,
 }
 
 /// What happened to a frame that was offered to the layer.
@@ -279,71 +204,23 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         last
     }
 
-    /// What a publication becomes on its way. O(1).
-    #[inline]
-    pub(crate) fn publish<C: Content>(
-        &mut self,
-        now: Instant,
-        publication: &Publication<C>,
-        event: &Event<C>,
-    ) -> Result<Published, PublishError> {
-        let at = publication.channel;
-        let Some(Some(entry)) = self.channels.get_mut(usize::from(at)) else {
-            return Err(PublishError::NotAnnounced);
-        };
-        let Some(id) = entry.outlet.id(Priority::SOFT_MOST_URGENT) else { return Err(entry.why_closed()) };
-        let mut bytes = [0; Payload::MAX_LEN];
-        event.content.encode(bytes.get_mut(..C::LEN).ok_or(PublishError::TooLong)?);
-        let mut payload = Payload::truncated(bytes, event.content.encoded_len());
-        if entry.declared.context {
-            payload = event.context.prepend(&payload).map_err(|_| PublishError::TooLong)?;
-        } else if event.context != Context::EMPTY {
-            return Err(PublishError::TooLong);
-        }
-        let published = match entry.declared.attributes {
-            Attributes::Hard(_) => {
-                if event.deadline.is_some() || event.expires_at.is_some() {
-                    return Err(PublishError::HardDeadline);
-                }
-                Published::Hard(entry.buffer.ok_or(PublishError::NotAnnounced)?, payload)
-            }
-            Attributes::Soft(soft) => {
-                let deadline = event.deadline.unwrap_or(now + soft.deadline);
-                let expires_at = event.expires_at.unwrap_or(now + soft.validity).max(deadline);
-                let frame = Frame::new(id, payload);
-                check_deadline(now, deadline, event.expires_at)?;
-                Published::Soft(Outgoing { tag: Tag(at), frame, deadline, expires_at })
-            }
-            Attributes::NonRealTime(quality) => {
-                let deadline = event.deadline.unwrap_or(Instant::FAR_FUTURE);
-                let validity = quality.validity.map_or(Instant::FAR_FUTURE, |validity| now + validity);
-                let expires_at = event.expires_at.unwrap_or(validity);
-                let frame = Frame::new(id.with_priority(quality.importance.priority()), payload);
-                check_deadline(now, deadline.min(expires_at), event.expires_at)?;
-                Published::NonRealTime(Outgoing { tag: Tag(at), frame, deadline, expires_at })
-            }
-        };
-        entry.counters.published = entry.counters.published.wrapping_add(1);
-        Ok(published)
-    }
-
     /// Where a frame with this etag goes, if that is anywhere here. One map look-up.
     #[inline]
     pub(crate) fn look_up(&self, etag: Etag) -> Option<Route> {
         self.by_etag.get(etag.get().into()).map(Route::decode)
     }
 
-    /// A frame has arrived. It is delivered here, if that can be done without a closer look; the route
-    /// is for [`deliver`](Self::deliver). O(1).
+    /// A frame has arrived. It is delivered here, if that can be done without a closer look; otherwise
+    /// that is left to [`deliver`](Self::deliver). O(1).
     #[inline]
     pub(crate) fn receive(&mut self, frame: &Frame, received_at: Instant) -> Received {
         let Some(route) = self.look_up(frame.id.etag()) else { return Received::Foreign };
         let Some(subscriber) = self.subscribers.get_mut(usize::from(route.only)) else {
-            return Received::For(route.tag);
+            return Received::Undelivered;
         };
         let list = &mut subscriber.list;
         if list.len() >= subscriber.takes_any || list.push(&mut self.pool, frame, received_at).is_err() {
-            return Received::For(route.tag);
+            return Received::Undelivered;
         }
         subscriber.delivered = subscriber.delivered.wrapping_add(1);
         Received::Delivered
@@ -370,11 +247,17 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let mut accepted = Accepted::Delivered;
         while let Some(subscriber) = self.subscribers.get_mut(usize::from(next)) {
             next = subscriber.next;
-            if !subscriber.filter.matches(&context) {
+            let plain = subscriber.list.len() < subscriber.takes_any;
+            if !plain && !subscriber.filter.matches(&context) {
                 counters.filtered = counters.filtered.wrapping_add(1);
                 continue;
             }
-            match subscriber.offer(&mut self.pool, frame, received_at, self.map) {
+            let offered = if plain {
+                subscriber.list.push(&mut self.pool, frame, received_at).map(|()| false)
+            } else {
+                subscriber.offer(&mut self.pool, frame, received_at, self.map)
+            };
+            match offered {
                 Ok(replaced) => {
                     subscriber.delivered = subscriber.delivered.wrapping_add(1);
                     if replaced {
@@ -592,14 +475,6 @@ fn decode<C: Content>(event: &Waiting, with_context: bool) -> Option<Delivered<C
     Some(Delivered { content, context, publisher: event.id.tx_node(), received_at: event.received_at })
 }
 
-impl Entry {
-    /// Why nothing can be published.
-    #[cold]
-    const fn why_closed(&self) -> PublishError {
-        if self.announcements == 0 { PublishError::NotAnnounced } else { PublishError::NotBound }
-    }
-}
-
 impl Subscriber {
     /// Queues an event by the subscriber's policy. Says whether it replaced an earlier one.
     fn offer<const N: usize>(
@@ -622,11 +497,4 @@ impl Subscriber {
             _ => Err(PoolFull),
         }
     }
-}
-
-/// An event that the application gave a time of its own must not be late from the start.
-#[inline]
-fn check_deadline(now: Instant, deadline: Instant, expires_at: Option<Instant>) -> Result<(), PublishError> {
-    let expired = expires_at.is_some_and(|expires_at| expires_at < deadline);
-    if deadline <= now || expired { Err(PublishError::Deadline) } else { Ok(()) }
 }

@@ -8,6 +8,7 @@ mod filter;
 mod layer;
 mod messages;
 mod pool;
+mod publish;
 pub use messages::{MessagePublisher, MessageSubscriber};
 
 pub use crate::protocol::Class;
@@ -16,8 +17,10 @@ pub use channel::{Channel, ChannelCounters, Depth, Policy, Publication, Subscrip
 pub use content::{Content, layout_of};
 pub use exception::{Exception, ExceptionKind};
 pub use filter::{Attribute, Context, Filter, NoRoom};
-pub use layer::{AnnounceError, Delivered, Event, EventLayer, PublishError, Published, SubscribeError};
+pub use layer::{AnnounceError, Delivered, EventLayer, SubscribeError};
+pub use publish::{Event, PublishError, Published};
 
 pub(crate) use channel::Declared;
 pub(crate) use exception::Exceptions;
 pub(crate) use layer::{Accepted, Received};
+pub(crate) use publish::{Quality, encode};

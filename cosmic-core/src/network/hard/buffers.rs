@@ -94,6 +94,12 @@ impl Counters {
         untimely: 0,
         overrun: 0,
     };
+
+    /// Those that the application hears of as exceptions: omitted, unused, skipped, missed, overrun,
+    /// inhibited.
+    pub(crate) const fn exceptional(&self) -> [u32; 6] {
+        [self.omitted, self.unused, self.skipped, self.missed, self.overrun, self.inhibited]
+    }
 }
 
 /// A request to take part in a slot of the calendar; see [`HrtBuffers::attach`].
@@ -127,7 +133,8 @@ pub(super) struct Buffer {
     in_mailbox: Payload,
     /// Received in the slot that is open, not yet visible.
     pub(super) arriving: Option<(Payload, Instant)>,
-    visible: Option<Delivery>,
+    /// Visible, not yet fetched: what, when it arrived, when it was to be delivered.
+    visible: Option<(Payload, Instant, GlobalInstant)>,
     window: Duration,
     pub(super) counters: Counters,
 }
@@ -283,7 +290,10 @@ impl<const N: usize> HrtBuffers<N> {
     /// Fetches the event that became visible last, once.
     #[inline]
     pub fn take(&mut self, id: BufferId) -> Option<Delivery> {
-        self.buffer_mut(id.0)?.visible.take()
+        let buffer = self.buffer_mut(id.0)?;
+        let (payload, received_at, delivered_at) = buffer.visible.take()?;
+        let (etag, publisher) = (buffer.id.etag(), buffer.id.tx_node());
+        Some(Delivery { etag, publisher, payload, received_at, delivered_at })
     }
 
     /// What has happened in the slots of this buffer.
@@ -434,14 +444,7 @@ impl Buffer {
             self.counters.untimely = self.counters.untimely.wrapping_add(1);
             return false;
         }
-        let delivery = Delivery {
-            etag: self.id.etag(),
-            publisher: self.id.tx_node(),
-            payload,
-            received_at,
-            delivered_at,
-        };
-        if self.visible.replace(delivery).is_some() {
+        if self.visible.replace((payload, received_at, delivered_at)).is_some() {
             self.counters.overrun = self.counters.overrun.wrapping_add(1);
         }
         self.counters.delivered = self.counters.delivered.wrapping_add(1);

@@ -50,6 +50,7 @@ impl Next {
         wake: Instant::EPOCH,
         latest: Instant::EPOCH,
         deadline: GlobalInstant::EPOCH,
+        opened: Instant::EPOCH,
     };
 }
 
@@ -57,8 +58,8 @@ impl Next {
 /// the [module](super) for the loop around it.
 ///
 /// One `poll` handles one instant of one slot, O(1) with at most one frame copied. The first `poll` after
-/// an instant, or after slots or clock have changed, also looks for the next instant: O(N) compares and three
-/// conversions of the clock, so that they lie in the time before an instant and not between it and the frame.
+/// that, or after slots or clock have changed, also looks for the next instant: O(N) compares and a
+/// conversion of the clock. So this work lies in the time before an instant, not between it and the frame.
 #[derive(Clone, Debug)]
 pub struct Dispatcher<const N: usize> {
     accuracy: Duration,
@@ -87,6 +88,8 @@ struct Next {
     latest: Instant,
     /// When a frame that is released must have been sent.
     deadline: GlobalInstant,
+    /// What arrived before this is of no slot, if this is a delivery.
+    opened: Instant,
 }
 
 impl<const N: usize> Dispatcher<N> {
@@ -135,18 +138,22 @@ impl<const N: usize> Dispatcher<N> {
             return Err(Step::SleepUntil(now + Self::LONGEST_SLEEP));
         };
         let Some(slot) = buffers.slot(at) else { return Err(Step::Continue) };
+        let wake = buffers.clock.to_local(due);
         // An instant further away than a period, either way, is of a clock that has been set since.
-        let distance = due.signed_since(buffers.clock.to_global(now)).unsigned_abs();
-        if distance > slot.longest_distance() {
+        if wake.signed_since(now).unsigned_abs() > slot.longest_distance() {
             return Err(self.realign(at, now, buffers));
         }
-        let wake = buffers.clock.to_local(due);
         let latest = wake + self.release_jitter;
-        let accurate = buffers.clock.is_accurate(now.min(latest), latest, self.accuracy);
+        let accurate =
+            stage != Stage::Deadline && buffers.clock.is_accurate(now.min(latest), latest, self.accuracy);
         // The frame may be loaded late by the release jitter; it has its full time all the same.
         let deadline = ready + slot.times.deadline + self.release_jitter;
+        let opened = match stage {
+            Stage::Delivery => buffers.clock.to_local(ready.saturating_sub(self.gap)),
+            _ => wake,
+        };
         let buffer = slot.buffer;
-        self.next = Next { is_known: true, at, buffer, stage, accurate, wake, latest, deadline };
+        self.next = Next { is_known: true, at, buffer, stage, accurate, wake, latest, deadline, opened };
         Ok(())
     }
 
@@ -218,7 +225,6 @@ impl<const N: usize> Dispatcher<N> {
             return Step::Continue;
         };
         let due = occurrence.due;
-        let opened = buffers.clock.to_local(occurrence.ready.saturating_sub(self.gap));
         let (slots, places, _) = buffers.parts_mut();
         let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return Step::Continue };
         if now.saturating_since(self.next.wake).as_ticks() > slot.longest_distance() {
@@ -229,7 +235,7 @@ impl<const N: usize> Dispatcher<N> {
         if silent {
             buffer.arriving = None;
             buffer.counters.inhibited = buffer.counters.inhibited.wrapping_add(1);
-        } else if !buffer.deliver(opened, due) {
+        } else if !buffer.deliver(self.next.opened, due) {
             if !slot.periodic {
                 return Step::Continue;
             }
