@@ -76,7 +76,9 @@ pub(super) struct Entry {
 
 impl Entry {
     fn attention_at(&self) -> Instant {
-        if self.reported { self.outgoing.expires_at } else { self.outgoing.deadline }
+        // An event without deadline can expire, too.
+        let expires_at = self.outgoing.expires_at;
+        if self.reported { expires_at } else { expires_at.min(self.outgoing.deadline) }
     }
 
     /// What has become of it by now, if anything. The caller discards what has expired.

@@ -1,0 +1,261 @@
+//! What an application may call, what it gives up, and what it is refused.
+
+use cosmic_core::calendar::{Calendar, Segment, Slot};
+use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
+use cosmic_core::event_layer::{
+    AnnounceError, Attribute, Channel, Context, Depth, Event, ExceptionKind, Filter, HardAttributes,
+    Importance, NonRealTimeAttributes, Policy, PublishError, SoftAttributes, SubscribeError,
+};
+use cosmic_core::network::hard::{Dispatcher, HrtBuffers, Step as HardStep};
+use cosmic_core::network::soft::RESERVED;
+use cosmic_core::time::{Duration, GlobalClock, Instant};
+use cosmic_core::{EventHalf, Step, Subject};
+
+const ME: TxNode = TxNode::new(1).unwrap();
+const OTHER: TxNode = TxNode::new(2).unwrap();
+const PERIOD: Duration = Duration::from_millis(10);
+
+static CALENDAR: Calendar = Calendar::checked(
+    Segment {
+        bit_rate: BitRate::MAX,
+        accuracy: Duration::from_micros(5),
+        release_jitter: Duration::from_micros(10),
+    },
+    PERIOD,
+    &[slot(0, ME, 2), slot(1, OTHER, 4), slot(2, OTHER, 6)],
+);
+
+const fn slot(number: u16, publisher: TxNode, phase_ms: u64) -> Slot {
+    Slot {
+        etag: Etag::new(100 + number).unwrap(),
+        publisher,
+        len: 2,
+        omission_degree: 1,
+        periodic: true,
+        period: PERIOD,
+        phase: Duration::from_millis(phase_ms),
+    }
+}
+
+const QUALITY: HardAttributes = HardAttributes { period: PERIOD, periodic: true, omission_degree: 1 };
+
+const fn hard(number: u16) -> Channel<u16> {
+    Channel::hard(subject(number as u64 + 0x100), Etag::new(100 + number).unwrap(), QUALITY)
+}
+
+const SOFT: Channel<u16> = soft(0x200, 5_000);
+
+const fn soft(number: u64, etag: u16) -> Channel<u16> {
+    let attributes =
+        SoftAttributes { deadline: Duration::from_millis(5), validity: Duration::from_millis(20) };
+    Channel::soft(subject(number), attributes).with_etag(Etag::new(etag).unwrap())
+}
+
+const TEXT: Channel<Payload> = Channel::non_real_time(
+    subject(0x300),
+    NonRealTimeAttributes { importance: Importance::MOST, validity: Some(Duration::from_millis(50)) },
+)
+.with_etag(Etag::BOUND_FIRST);
+
+const fn subject(number: u64) -> Subject {
+    Subject::new(number).unwrap()
+}
+
+fn at(microseconds: u64) -> Instant {
+    Instant::from_epoch(Duration::from_micros(microseconds))
+}
+
+fn fifo(depth: u8) -> Policy {
+    Policy::Fifo(Depth::new(depth).unwrap())
+}
+
+/// Room for two hard slots, four channels, three subscriptions, four waiting events, two events of each
+/// class to be sent.
+type Half = EventHalf<2, 4, 3, 4, { 2 + RESERVED }, { 2 + RESERVED }>;
+type Buffers = HrtBuffers<2>;
+
+fn node() -> (Half, Buffers) {
+    (Half::new(Some(ME), &CALENDAR, ()), Buffers::new(GlobalClock::free_running()))
+}
+
+fn frame(etag: u16, bytes: &[u8]) -> Frame {
+    let id = Id::new(Priority::new(9), OTHER, Etag::new(etag).unwrap());
+    Frame::new(id, Payload::new(bytes).unwrap())
+}
+
+#[test]
+fn what_cannot_be_announced() {
+    let (mut half, mut hard_buffers) = node();
+    let hb = &mut hard_buffers;
+    // The slot is another node's; of another period, omission degree or kind; there is none.
+    let period = Duration::from_millis(5);
+    let wrong = [
+        hard(1),
+        Channel::hard(subject(1), Etag::new(100).unwrap(), HardAttributes { period, ..QUALITY }),
+        Channel::hard(subject(1), Etag::new(100).unwrap(), HardAttributes { omission_degree: 2, ..QUALITY }),
+        Channel::hard(subject(1), Etag::new(100).unwrap(), HardAttributes { periodic: false, ..QUALITY }),
+        Channel::hard(subject(1), Etag::new(200).unwrap(), QUALITY),
+    ];
+    for channel in &wrong {
+        assert_eq!(half.announce(channel, hb).unwrap_err(), AnnounceError::NotInCalendar);
+    }
+    // Content that is longer than the slot.
+    let long: Channel<u32> = Channel::hard(subject(1), Etag::new(100).unwrap(), QUALITY);
+    assert_eq!(half.announce(&long, hb).unwrap_err(), AnnounceError::NotInCalendar);
+    half.announce(&SOFT, hb).unwrap();
+    // The same subject with another content; another subject with the same etag.
+    let contradiction: Channel<i16> = Channel::soft(
+        SOFT.subject(),
+        SoftAttributes { deadline: Duration::from_millis(5), validity: Duration::from_millis(20) },
+    )
+    .with_etag(Etag::new(5_000).unwrap());
+    assert_eq!(half.announce(&contradiction, hb).unwrap_err(), AnnounceError::Contradiction);
+    assert_eq!(half.announce(&soft(0x201, 5_000), hb).unwrap_err(), AnnounceError::EtagInUse);
+    for number in 1..4 {
+        half.announce(&soft(0x200 + number, 5_000 + number as u16), hb).unwrap();
+    }
+    assert_eq!(half.announce(&soft(0x210, 6_000), hb).unwrap_err(), AnnounceError::TooManyChannels);
+    let mut nameless = Half::new(None, &CALENDAR, ());
+    assert_eq!(nameless.announce(&hard(0), hb).unwrap_err(), AnnounceError::NoTxNode);
+}
+
+#[test]
+fn what_cannot_be_subscribed_to() {
+    let (mut half, mut hard_buffers) = node();
+    let hb = &mut hard_buffers;
+    half.subscribe(&hard(0), Filter::ALL, Policy::Latest, hb).unwrap();
+    half.subscribe(&hard(1), Filter::ALL, Policy::Latest, hb).unwrap();
+    let full = SubscribeError::Channel(AnnounceError::TooManySlots);
+    assert_eq!(half.subscribe(&hard(2), Filter::ALL, Policy::Latest, hb).unwrap_err(), full);
+    half.subscribe(&SOFT, Filter::ALL, fifo(1), hb).unwrap();
+    let full = SubscribeError::TooManySubscriptions;
+    assert_eq!(half.subscribe(&SOFT, Filter::ALL, fifo(1), hb).unwrap_err(), full);
+    assert_eq!(Depth::new(0), None);
+}
+
+#[test]
+fn what_cannot_be_published() {
+    let (mut half, mut hard_buffers) = node();
+    let hb = &mut hard_buffers;
+    let now = at(1_000);
+    let speed = half.announce(&hard(0), hb).unwrap();
+    let temperature = half.announce(&SOFT, hb).unwrap();
+    let unbound: Channel<u16> = Channel::soft(
+        subject(0x400),
+        SoftAttributes { deadline: Duration::from_millis(1), validity: Duration::from_millis(1) },
+    );
+    let unbound = half.announce(&unbound, hb).unwrap();
+    assert_eq!(half.publish(now, &unbound, &Event::new(1), hb), Err(PublishError::NotBound));
+    let late = Event::new(1).deadline(now);
+    assert_eq!(half.publish(now, &temperature, &late, hb), Err(PublishError::Deadline));
+    let short = Event::new(1).deadline(at(3_000)).expires_at(at(2_000));
+    assert_eq!(half.publish(now, &temperature, &short, hb), Err(PublishError::Deadline));
+    let timed = Event::new(1).deadline(at(3_000));
+    assert_eq!(half.publish(now, &speed, &timed, hb), Err(PublishError::HardDeadline));
+    let placed = Event::new(1).context(Context::EMPTY.with(Attribute::Sensor, 1).unwrap());
+    assert_eq!(half.publish(now, &temperature, &placed, hb), Err(PublishError::TooLong));
+    for _ in 0..2 {
+        assert!(half.publish(now, &temperature, &Event::new(1), hb).is_ok());
+    }
+    assert_eq!(half.publish(now, &temperature, &Event::new(1), hb), Err(PublishError::QueueFull));
+    assert_eq!(half.exceptions(ExceptionKind::TransmitQueueFull), 1);
+}
+
+#[test]
+fn a_cancelled_publication_sends_nothing_any_more() {
+    let (mut half, mut hard_buffers) = node();
+    let hb = &mut hard_buffers;
+    let first = half.announce(&SOFT, hb).unwrap();
+    let second = half.announce(&SOFT, hb).unwrap();
+    let loaded = half.publish(at(0), &first, &Event::new(1), hb).unwrap();
+    assert!(matches!(loaded, Some(Command::Load(Mailbox::Soft, _))));
+    assert_eq!(half.publish(at(0), &second, &Event::new(2), hb), Ok(None));
+    // While another announcement of the channel stands, its events stay.
+    assert_eq!(half.cancel_publication(second, hb), [None, None]);
+    let again = half.announce(&SOFT, hb).unwrap();
+    assert_eq!(half.cancel_publication(again, hb), [None, None]);
+    assert_eq!(half.cancel_publication(first, hb), [Some(Command::Withdraw(Mailbox::Soft)), None]);
+    half.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(5));
+    assert!(matches!(half.poll(at(5), hb), Step::SleepUntil(_)));
+    assert_eq!(half.channel_counters(SOFT.subject()), None, "nobody uses the channel any more");
+    // Its place and its etag are free again.
+    half.announce(&soft(0x999, 5_000), hb).unwrap();
+}
+
+#[test]
+fn a_cancelled_hard_publication_leaves_its_slot_empty() {
+    let (mut half, mut hard_buffers) = node();
+    let hb = &mut hard_buffers;
+    let mut dispatcher = Dispatcher::<2>::new(&CALENDAR);
+    let speed = half.announce(&hard(0), hb).unwrap();
+    half.publish(at(0), &speed, &Event::new(7), hb).unwrap();
+    assert_eq!(half.cancel_publication(speed, hb), [None, None]);
+    for now in 0..12 {
+        loop {
+            match dispatcher.poll(at(now * 1_000), hb) {
+                HardStep::SleepUntil(_) => break,
+                HardStep::Continue => {}
+                step => panic!("{step:?}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_cancelled_subscription_gives_back_its_events_and_its_channel() {
+    let (mut half, mut hard_buffers) = node();
+    let hb = &mut hard_buffers;
+    let one = half.subscribe(&SOFT, Filter::ALL, fifo(4), hb).unwrap();
+    let two = half.subscribe(&SOFT, Filter::ALL, fifo(4), hb).unwrap();
+    for value in 0..2 {
+        half.on_frame(&frame(5_000, &[0, value]), at(1));
+    }
+    // All four places of the pool are taken.
+    half.on_frame(&frame(5_000, &[0, 9]), at(2));
+    assert_eq!(half.exceptions(ExceptionKind::QueueFull), 1);
+    half.cancel_subscription(one, hb);
+    half.on_frame(&frame(5_000, &[0, 2]), at(3));
+    let received: Vec<u16> = std::iter::from_fn(|| half.next(&two)).map(|event| event.content).collect();
+    assert_eq!(received, [0, 1, 2]);
+    half.cancel_subscription(two, hb);
+    half.on_frame(&frame(5_000, &[0, 3]), at(4));
+    assert_eq!(half.foreign_frames(), 1);
+    // A subscription in the middle of the list of a channel.
+    let [a, b, c] = [(); 3].map(|()| half.subscribe(&TEXT, Filter::ALL, fifo(1), hb).unwrap());
+    half.cancel_subscription(b, hb);
+    half.on_frame(&frame(Etag::BOUND_FIRST.get(), b"hi"), at(5));
+    for subscription in [&a, &c] {
+        assert_eq!(half.next(subscription).unwrap().content.as_slice(), b"hi");
+        assert!(half.next(subscription).is_none());
+    }
+}
+
+#[test]
+fn content_of_the_wrong_length_is_dropped_and_told() {
+    let (mut half, mut hard_buffers) = node();
+    let hb = &mut hard_buffers;
+    let subscription = half.subscribe(&SOFT, Filter::ALL, fifo(4), hb).unwrap();
+    for bytes in [&[1][..], &[0, 2], &[1, 2, 3]] {
+        half.on_frame(&frame(5_000, bytes), at(1));
+    }
+    assert_eq!(half.next(&subscription).map(|event| event.content), Some(2));
+    assert!(half.next(&subscription).is_none());
+    assert_eq!(half.exceptions(ExceptionKind::Malformed), 2);
+    let exception = half.take_exception().unwrap();
+    assert_eq!((exception.subject, exception.kind), (Some(SOFT.subject()), ExceptionKind::Malformed));
+}
+
+#[test]
+fn an_expired_event_is_told_and_not_sent() {
+    let (mut half, mut hard_buffers) = node();
+    let hb = &mut hard_buffers;
+    let text = half.announce(&TEXT, hb).unwrap();
+    let command = half.publish(at(0), &text, &Event::new(Payload::new(b"x").unwrap()), hb).unwrap();
+    let Some(Command::Load(Mailbox::NonRealTime, frame)) = command else { panic!("{command:?}") };
+    assert_eq!(frame.id.priority(), Priority::new(251));
+    assert_eq!(half.poll(at(50_000), hb), Step::Command(Command::Withdraw(Mailbox::NonRealTime)));
+    half.on_outcome(Mailbox::NonRealTime, Outcome::Withdrawn, at(50_001));
+    let exception = half.take_exception().unwrap();
+    assert_eq!((exception.subject, exception.kind), (Some(TEXT.subject()), ExceptionKind::ValidityExpired));
+    assert_eq!(half.channel_counters(TEXT.subject()).unwrap().discarded, 1);
+}
