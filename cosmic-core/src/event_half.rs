@@ -399,7 +399,8 @@ impl<
         let Some(counters) = counters else { return };
         let Some(seen) = self.seen.get_mut(buffer.index()) else { return };
         let before = core::mem::replace(seen, counters);
-        if before.exceptional() != counters.exceptional() {
+        let mut pairs = before.exceptional().into_iter().zip(counters.exceptional());
+        if pairs.any(|(before, after)| before != after) {
             let mismatch = hard.with(|buffers| buffers.is_inhibited());
             let etag = hard.with(|buffers| buffers.etag(buffer));
             let subject = etag.and_then(|etag| self.layer.subject_of(etag));

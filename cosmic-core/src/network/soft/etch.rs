@@ -188,7 +188,22 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
             self.soft.load_directly(key, Entry { outgoing: event, reported });
             return Ok(Some(self.load_soft(now, &event)));
         }
-        let pushed = self.soft.push(key, Entry { outgoing: event, reported }, event.tag.reserve());
+        let Outgoing { tag, frame, deadline, expires_at } = event;
+        self.queue_soft((tag, reported), frame, deadline, expires_at)
+    }
+
+    /// In parts, so that an event that is loaded at once need not be put together in memory.
+    #[inline(never)]
+    fn queue_soft(
+        &mut self,
+        (tag, reported): (Tag, bool),
+        frame: Frame,
+        deadline: Instant,
+        expires_at: Instant,
+    ) -> Result<Option<Command>, Full> {
+        let key = deadline.since_epoch().as_ticks();
+        let outgoing = Outgoing { tag, frame, deadline, expires_at };
+        let pushed = self.soft.push(key, Entry { outgoing, reported }, tag.reserve());
         pushed.map(|()| None).map_err(|_| self.refuse())
     }
 
