@@ -1,0 +1,316 @@
+//! What the application calls: announce, publish, subscribe, and what it fetches.
+
+use super::{EventHalf, HardAccess, PUBLISHES, SUBSCRIBES};
+use crate::calendar::Slot;
+use crate::can::{Command, Frame, Id, Payload, Priority};
+use crate::event_layer::{
+    AnnounceError, Attributes, Channel, Content, Declared, Delivered, Event, ExceptionKind, Filter,
+    MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, Published, Quality,
+    SubscribeError, Subscription, encode,
+};
+use crate::network::fragments::Message;
+use crate::network::hard::{Attach, AttachError, BufferId, Role};
+use crate::network::soft::{self, Outgoing, Tag};
+use crate::services::{Declaration, Services, TooMany};
+use crate::time::Instant;
+use core::task::{Poll, Waker};
+
+impl<
+    const SLOTS: usize,
+    const CHANNELS: usize,
+    const SUBSCRIPTIONS: usize,
+    const EVENTS: usize,
+    const SOFT: usize,
+    const NRT: usize,
+    S: Services,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S>
+{
+    /// Announces a channel, on which this node may publish from now on. A hard real-time channel must
+    /// stand in the calendar. O(CHANNELS + slots of the calendar · SLOTS).
+    ///
+    /// # Errors
+    /// [`AnnounceError`]; nothing has changed then.
+    pub fn announce<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Publication<C>, AnnounceError> {
+        let publication = self.layer.announce(channel)?;
+        match self.attach(&channel.declared(), PUBLISHES, hard) {
+            Ok(buffer) => {
+                self.layer.set_buffer(&publication, buffer);
+            }
+            Err(error) => {
+                self.layer.cancel_publication(&publication);
+                return Err(error);
+            }
+        }
+        if let Err(error) = self.declare(&channel.declared()) {
+            // Nothing has been published, so there is nothing to withdraw.
+            let _ = self.cancel_publication(publication, hard);
+            return Err(error);
+        }
+        Ok(publication)
+    }
+
+    /// Subscribes to a channel. O(CHANNELS + SUBSCRIPTIONS + slots of the calendar · SLOTS).
+    ///
+    /// # Errors
+    /// [`SubscribeError`]; nothing has changed then.
+    pub fn subscribe<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        filter: Filter,
+        policy: Policy,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Subscription<C>, SubscribeError> {
+        let subscription = self.layer.subscribe(channel, filter, policy)?;
+        let joined = self.attach(&channel.declared(), SUBSCRIBES, hard);
+        match joined.and_then(|_| self.declare(&channel.declared())) {
+            Ok(()) => Ok(subscription),
+            Err(error) => {
+                self.cancel_subscription(subscription, hard);
+                Err(SubscribeError::Channel(error))
+            }
+        }
+    }
+
+    /// Gives up an announcement. When it was the last one of the channel, events that wait to be sent are
+    /// discarded; the commands do so in the mailboxes.
+    pub fn cancel_publication<C>(
+        &mut self,
+        publication: Publication<C>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> [Option<Command>; 2] {
+        let declared = self.layer.declared(publication.tag());
+        let Some(buffer) = self.layer.cancel_publication(&publication) else { return [None, None] };
+        detach(buffer, PUBLISHES, hard);
+        if let Some(declared) = declared {
+            // Giving up takes no room.
+            let _ = self.declare(&declared);
+        }
+        self.etch.recall(|outgoing| outgoing.tag == publication.tag())
+    }
+
+    /// Gives up a subscription, with the events that wait for it.
+    pub fn cancel_subscription<C>(
+        &mut self,
+        subscription: Subscription<C>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) {
+        let Some(declared) = self.layer.cancel_subscription(subscription) else { return };
+        let _ = self.declare(&declared);
+        let Some(etag) = declared.etag.filter(|etag| etag.is_hard()) else { return };
+        for slot in self.calendar.slots().iter().filter(|slot| slot.etag == etag) {
+            let buffer = hard.with(|buffers| buffers.find(etag, slot.publisher));
+            detach(buffer, SUBSCRIBES, hard);
+        }
+    }
+
+    /// Publishes an event. Local subscribers get it too: a hard real-time event at its delivery instant,
+    /// any other at once. O(1) on an idle node, O(log SOFT) or O(log NRT) otherwise, and as
+    /// [`on_frame`](Self::on_frame) for local subscribers.
+    ///
+    /// # Errors
+    /// [`PublishError`]; the event is not sent.
+    #[inline]
+    pub fn publish<C: Content>(
+        &mut self,
+        now: Instant,
+        publication: &Publication<C>,
+        event: &Event<C>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Option<Command>, PublishError> {
+        let (payload, quality) = (encode(&event.content), Quality::of(event));
+        if quality.is_plain() {
+            self.submit::<true>(now, publication.tag(), payload, &quality, hard)
+        } else {
+            self.submit::<false>(now, publication.tag(), payload, &quality, hard)
+        }
+    }
+
+    /// Publishes an event, `PLAIN` or with times or context of its own. In two versions, so that the one
+    /// does not bear what the other costs.
+    #[inline(never)]
+    pub(super) fn submit<const PLAIN: bool>(
+        &mut self,
+        now: Instant,
+        tag: Tag,
+        payload: Payload,
+        quality: &Quality,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Option<Command>, PublishError> {
+        let quality = if PLAIN { &Quality::PLAIN } else { quality };
+        match self.layer.publish(now, tag, payload, quality)? {
+            Published::Hard(buffer, payload) => {
+                if hard.with(|buffers| buffers.publish(buffer, payload)) {
+                    self.raise_replaced(tag, now);
+                }
+                Ok(None)
+            }
+            Published::Soft(outgoing) => {
+                let submitted = self.etch.submit_soft(now, outgoing);
+                self.conclude(now, outgoing, submitted)
+            }
+            Published::NonRealTime(outgoing) => {
+                let submitted = self.etch.submit_non_real_time(now, outgoing);
+                self.conclude(now, outgoing, submitted)
+            }
+        }
+    }
+
+    /// The event has been submitted, or there was no room for it.
+    #[inline]
+    pub(super) fn conclude(
+        &mut self,
+        now: Instant,
+        outgoing: Outgoing,
+        submitted: Result<Option<Command>, soft::Full>,
+    ) -> Result<Option<Command>, PublishError> {
+        let Ok(command) = submitted else {
+            self.raise(self.layer.subject(outgoing.tag), ExceptionKind::TransmitQueueFull, now);
+            return Err(PublishError::QueueFull);
+        };
+        if self.layer.is_subscribed(outgoing.tag) {
+            self.deliver_locally(outgoing, now);
+        }
+        Ok(command)
+    }
+
+    /// Fetches the next event of a subscription. Content that is no value of the channel's type is passed
+    /// over, with an exception. O(1) for each event that is fetched.
+    #[inline]
+    pub fn next<C: Content>(&mut self, subscription: &Subscription<C>) -> Option<Delivered<C>> {
+        loop {
+            match self.layer.next(subscription)? {
+                Ok(delivered) => return Some(delivered),
+                Err(received_at) => self.raise_malformed(subscription, received_at),
+            }
+        }
+    }
+
+    /// As [`next`](Self::next) in a task: if there is none, the next event wakes it.
+    pub fn poll_next<C: Content>(
+        &mut self,
+        subscription: &Subscription<C>,
+        waker: &Waker,
+    ) -> Poll<Delivered<C>> {
+        match self.next(subscription) {
+            Some(delivered) => Poll::Ready(delivered),
+            None => {
+                self.layer.set_waker(subscription, waker);
+                Poll::Pending
+            }
+        }
+    }
+
+    /// Sends the next frame of a message, if the one before it has left the node and there is room. Call it
+    /// after [`MessagePublisher::start`], and whenever [`on_outcome`](Self::on_outcome) was called.
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish); the message is given up.
+    pub fn send_message<const LEN: usize>(
+        &mut self,
+        now: Instant,
+        publisher: &mut MessagePublisher<LEN>,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Option<Command>, PublishError> {
+        let counters = self.layer.counters_of(publisher.publication().tag());
+        publisher.note_departures(counters.sent, counters.discarded);
+        if !self.etch.has_room_for_non_real_time() {
+            return Ok(None);
+        }
+        let Some(fragment) = publisher.next() else { return Ok(None) };
+        let published = self.publish(now, publisher.publication(), &Event::new(fragment), hard);
+        published.inspect_err(|_| publisher.give_up())
+    }
+
+    /// Takes the frames that wait, and hands each message that they complete to `each`.
+    pub fn receive_messages<const PLACES: usize, const LEN: usize>(
+        &mut self,
+        subscriber: &mut MessageSubscriber<PLACES, LEN>,
+        now: Instant,
+        mut each: impl FnMut(Message<'_>),
+    ) {
+        let Some(etag) = self.layer.etag_of(subscriber.subscription()) else { return };
+        while let Some(fragment) = self.next(subscriber.subscription()) {
+            if let Some(message) = subscriber.take(etag, &fragment) {
+                each(message);
+            }
+        }
+        subscriber.drop_stale(now);
+    }
+
+    /// Takes part in the slots of a hard real-time channel; nothing for the others.
+    pub(super) fn attach(
+        &mut self,
+        declared: &Declared,
+        role: Role,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Result<Option<BufferId>, AnnounceError> {
+        let Attributes::Hard(attributes) = declared.attributes else { return Ok(None) };
+        if role.publishes && self.own.get().is_none() {
+            return Err(AnnounceError::NoTxNode);
+        }
+        let fits = |slot: &&Slot| {
+            Some(slot.etag) == declared.etag
+                && slot.period == attributes.period
+                && slot.periodic == attributes.periodic
+                && slot.omission_degree == attributes.omission_degree
+                && usize::from(slot.len) >= declared.len
+                && (role.subscribes || self.own.is(slot.publisher))
+        };
+        let mut buffer = None;
+        for slot in self.calendar.slots().iter().filter(fits) {
+            let request = Attach { calendar: self.calendar, slot, role };
+            let attached = hard.with(|buffers| buffers.attach(&request));
+            buffer = Some(attached.map_err(|AttachError::Full| AnnounceError::TooManySlots)?);
+        }
+        buffer.map(Some).ok_or(AnnounceError::NotInCalendar)
+    }
+
+    /// Tells the services what the node does on a channel now.
+    pub(super) fn declare(&mut self, declared: &Declared) -> Result<(), AnnounceError> {
+        let (publishes, subscribes) = self.layer.roles(declared.subject);
+        let declaration = Declaration {
+            subject: declared.subject,
+            etag: declared.etag,
+            class: declared.attributes.class(),
+            layout: declared.layout,
+            publishes,
+            subscribes,
+        };
+        self.services.declare(&declaration).map_err(|TooMany| AnnounceError::TooManyChannels)
+    }
+
+    /// A publication reaches the subscribers on this node, too, with the priority that its frame would
+    /// have now.
+    #[inline(never)]
+    pub(super) fn deliver_locally(&mut self, outgoing: Outgoing, now: Instant) {
+        let id = outgoing.frame.id;
+        let priority = match id.priority() {
+            priority if priority > Priority::SOFT_LEAST_URGENT => priority,
+            _ => self.etch.priority_map().priority(outgoing.deadline.saturating_since(now)),
+        };
+        let frame = Frame::new(Id::new(priority, id.tx_node(), id.etag()), outgoing.frame.payload);
+        let accepted = self.layer.deliver(outgoing.tag, &frame, now);
+        self.note(accepted, now);
+    }
+
+    #[cold]
+    pub(super) fn raise_replaced(&mut self, tag: Tag, now: Instant) {
+        self.raise(self.layer.subject(tag), ExceptionKind::EventReplaced, now);
+    }
+
+    #[cold]
+    pub(super) fn raise_malformed<C>(&mut self, subscription: &Subscription<C>, received_at: Instant) {
+        let subject = self.layer.note_malformed(subscription);
+        self.raise(subject, ExceptionKind::Malformed, received_at);
+    }
+}
+
+fn detach<const SLOTS: usize>(buffer: Option<BufferId>, role: Role, hard: &mut impl HardAccess<SLOTS>) {
+    if let Some(buffer) = buffer {
+        hard.with(|buffers| buffers.detach(buffer, role));
+    }
+}

@@ -1,0 +1,230 @@
+//! What the driver and the dispatcher call: frames, outcomes, notices, and what is to be done next.
+
+use super::{EventHalf, HardAccess, Own, SERVICES, Step};
+use crate::can::{Command, Frame, Mailbox, Outcome};
+use crate::event_layer::{Exception, ExceptionKind, Received};
+use crate::network::hard::{BufferId, Counters};
+use crate::network::soft::{self, Outgoing};
+use crate::services::{NodeView, Request, Services};
+use crate::time::Instant;
+use crate::uid::Subject;
+
+impl<
+    const SLOTS: usize,
+    const CHANNELS: usize,
+    const SUBSCRIPTIONS: usize,
+    const EVENTS: usize,
+    const SOFT: usize,
+    const NRT: usize,
+    S: Services,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S>
+{
+    /// A frame has arrived, that is not hard real-time. One map look-up, then O(1) for each subscriber of
+    /// its channel, or O(EVENTS) for one who wants the earliest deadline first.
+    // In the receive task, where it is called once.
+    #[inline(always)]
+    pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+        match self.layer.receive(frame, received_at) {
+            Received::Delivered => {}
+            Received::Foreign => return self.reject(frame, received_at),
+            Received::Undelivered => self.deliver(frame, received_at),
+        }
+        if self.is_mine(frame) {
+            // No node hears itself: another one uses this TxNode.
+            self.services.on_frame(frame, received_at);
+        }
+    }
+
+    /// A frame has left the soft or non real-time mailbox. O(log SOFT) or O(log NRT).
+    pub fn on_outcome(&mut self, mailbox: Mailbox, outcome: Outcome, at: Instant) {
+        let departure = self.etch.on_outcome(mailbox, outcome, at);
+        match departure.sent {
+            Some(sent) if sent.tag == SERVICES => self.services.on_sent(&sent.frame, at),
+            Some(sent) => self.layer.note_departure(sent.tag, true),
+            None => {}
+        }
+        if let Some(exception) = departure.exception {
+            self.raise_soft(&exception, at);
+        }
+    }
+
+    /// The dispatcher has said that something happened to an HRT message buffer.
+    pub fn on_notify(&mut self, buffer: BufferId, now: Instant, hard: &mut impl HardAccess<SLOTS>) {
+        let (delivery, counters) = hard.with(|buffers| (buffers.take(buffer), buffers.counters(buffer)));
+        if let Some(delivery) = delivery {
+            let frame = delivery.frame();
+            if let Received::Undelivered = self.layer.receive(&frame, now) {
+                self.deliver(&frame, now);
+            }
+        }
+        let Some(counters) = counters else { return };
+        let Some(seen) = self.seen.get_mut(buffer.index()) else { return };
+        let before = core::mem::replace(seen, counters);
+        let mut pairs = before.exceptional().into_iter().zip(counters.exceptional());
+        if pairs.any(|(before, after)| before != after) {
+            let mismatch = hard.with(|buffers| buffers.is_inhibited());
+            let etag = hard.with(|buffers| buffers.etag(buffer));
+            let subject = etag.and_then(|etag| self.layer.subject_of(etag));
+            self.raise_hard(subject, (&before, &counters), mismatch, now);
+        }
+    }
+
+    /// Raises what has happened in the slots of a buffer.
+    pub(super) fn raise_hard(
+        &mut self,
+        subject: Option<Subject>,
+        (before, after): (&Counters, &Counters),
+        mismatch: bool,
+        at: Instant,
+    ) {
+        let silence = if mismatch { ExceptionKind::CalendarMismatch } else { ExceptionKind::ClockOutOfBound };
+        let kinds = [
+            ExceptionKind::OmissionDegreeExceeded,
+            ExceptionKind::NothingPublished,
+            ExceptionKind::SlotSkipped,
+            ExceptionKind::MissedEvent,
+            ExceptionKind::QueueFull,
+            silence,
+        ];
+        let counts = before.exceptional().into_iter().zip(after.exceptional());
+        for (kind, (before, after)) in kinds.into_iter().zip(counts) {
+            // A buffer that was attached anew counts from zero.
+            let times = if after >= before { after - before } else { after };
+            self.exceptions.raise_times(Exception { subject, kind, at }, times);
+        }
+        self.wake_exception_handler();
+    }
+
+    /// What is to be done now; at most one command a call. O(SOFT + NRT), and what the services need.
+    pub fn poll(&mut self, now: Instant, hard: &mut impl HardAccess<SLOTS>) -> Step {
+        loop {
+            while let Some(request) = self.next_request(now) {
+                if let Some(command) = self.carry_out(request, now, hard) {
+                    return Step::Command(command);
+                }
+            }
+            match self.etch.poll(now) {
+                soft::Step::Command(command) => return Step::Command(command),
+                // What was discarded has left room for the services.
+                soft::Step::Exception(exception) => self.raise_soft(&exception, now),
+                soft::Step::SleepUntil(instant) => {
+                    return Step::SleepUntil(instant.min(self.services_wakeup()));
+                }
+            }
+        }
+    }
+
+    /// What has no room now is asked for again when a frame has left. If only the non real-time queue is
+    /// full, because more urgent events of others fill the bus, the clock must go on.
+    pub(super) fn next_request(&mut self, now: Instant) -> Option<Request> {
+        let view = NodeView { exceptions: self.exceptions.total(), ..self.view };
+        match () {
+            () if self.etch.has_room_for_services() => self.services.poll(now, &view),
+            () if self.etch.has_room_for_urgent() => self.services.poll_urgent(now, &view),
+            () => None,
+        }
+    }
+
+    pub(super) fn services_wakeup(&self) -> Instant {
+        match () {
+            () if self.etch.has_room_for_services() => self.services.next_wakeup(),
+            () if self.etch.has_room_for_urgent() => self.services.next_urgent_wakeup(),
+            () => Instant::FAR_FUTURE,
+        }
+    }
+
+    pub(super) fn carry_out(
+        &mut self,
+        request: Request,
+        now: Instant,
+        hard: &mut impl HardAccess<SLOTS>,
+    ) -> Option<Command> {
+        let submitted = match request {
+            Request::SendUrgent(frame, expires_at) => {
+                self.etch.submit_urgent(now, SERVICES, frame, expires_at)
+            }
+            Request::Send(frame) => {
+                let forever = Instant::FAR_FUTURE;
+                let outgoing = Outgoing { tag: SERVICES, frame, deadline: forever, expires_at: forever };
+                self.etch.submit_non_real_time(now, outgoing)
+            }
+            Request::Withdraw(frame) => {
+                let [_, command] =
+                    self.etch.recall(|outgoing| outgoing.tag == SERVICES && outgoing.frame == frame);
+                Ok(command)
+            }
+            Request::Clock(clock) => {
+                hard.with(|buffers| buffers.set_clock(clock));
+                Ok(None)
+            }
+            Request::Inhibit(inhibited) => {
+                hard.with(|buffers| buffers.inhibit(inhibited));
+                if inhibited {
+                    self.raise(None, ExceptionKind::CalendarMismatch, now);
+                }
+                Ok(None)
+            }
+            Request::TxNode(tx_node) => {
+                if self.own.get().is_some_and(|former| Some(former) != tx_node) {
+                    // The frames that wait bear an id that is another node's.
+                    self.etch.expire(now, |outgoing| outgoing.tag != SERVICES);
+                }
+                self.own = Own::new(tx_node);
+                self.layer.set_tx_node(tx_node);
+                Ok(None)
+            }
+            Request::Bound(subject, etag) => {
+                if self.layer.bind(subject, etag).is_err() {
+                    self.raise(Some(subject), ExceptionKind::BindingRefused, now);
+                }
+                let named = self.layer.look_up(etag).map(|route| self.etch.rename(route.tag, etag));
+                Ok(named.flatten())
+            }
+            Request::Unbound(subject) => {
+                self.layer.unbind(subject);
+                if let Some(tag) = self.layer.tag_of(subject) {
+                    // Under the old etag they would be another channel's.
+                    self.etch.expire(now, |outgoing| outgoing.tag == tag);
+                }
+                Ok(None)
+            }
+            Request::Exception(subject, kind) => {
+                self.raise(subject, kind, now);
+                Ok(None)
+            }
+        };
+        submitted.unwrap_or_else(|soft::Full| {
+            self.raise(None, ExceptionKind::TransmitQueueFull, now);
+            None
+        })
+    }
+
+    /// The controller has left the bus.
+    pub fn on_bus_off(&mut self, now: Instant) {
+        self.raise(None, ExceptionKind::BusOff, now);
+    }
+
+    #[inline]
+    pub(super) fn is_mine(&self, frame: &Frame) -> bool {
+        self.own.is(frame.id.tx_node())
+    }
+
+    #[inline]
+    pub(super) fn reject(&mut self, frame: &Frame, received_at: Instant) {
+        if frame.id.etag().is_reserved() || self.is_mine(frame) {
+            self.services.on_frame(frame, received_at);
+        } else {
+            self.foreign = self.foreign.wrapping_add(1);
+        }
+    }
+
+    /// The long way: out of line, and the channel is looked up again, so that the short one needs fewer
+    /// registers.
+    #[inline(never)]
+    pub(super) fn deliver(&mut self, frame: &Frame, received_at: Instant) {
+        if let Some(route) = self.layer.look_up(frame.id.etag()) {
+            let accepted = self.layer.deliver(route.tag, frame, received_at);
+            self.note(accepted, received_at);
+        }
+    }
+}

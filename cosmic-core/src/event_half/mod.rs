@@ -1,0 +1,257 @@
+//! The event-triggered half of a node: owner of the event layer and of the soft and non real-time path.
+//!
+//! A node is two halves. The time-triggered half is a [`Dispatcher`](crate::network::hard::Dispatcher) in
+//! the task of the highest priority. This is the other one. Its parts never call each other; it takes
+//! what one of them produces to the next.
+//!
+//! Calls, in any order, each with the present local time:
+//!
+//! * from the application: [`announce`](EventHalf::announce), [`publish`](EventHalf::publish),
+//!   [`subscribe`](EventHalf::subscribe), [`next`](EventHalf::next) or
+//!   [`poll_next`](EventHalf::poll_next), [`take_exception`](EventHalf::take_exception);
+//! * from the driver: [`on_frame`](EventHalf::on_frame) for every received frame that is not hard real-time,
+//!   [`on_outcome`](EventHalf::on_outcome) for every frame that has left the soft or non real-time mailbox;
+//! * from the dispatcher's task: [`on_notify`](EventHalf::on_notify);
+//! * after any of them, and at the instant named last: [`poll`](EventHalf::poll), until it says
+//!   [`Step::SleepUntil`].
+//!
+//! A method that returns a [`Command`] wants it carried out by the driver before the next call.
+
+mod channels;
+mod drive;
+
+pub use crate::event_layer::Delivered;
+
+use crate::calendar::Calendar;
+use crate::can::{Command, TxNode};
+use crate::event_layer::{Accepted, ChannelCounters, EventLayer, Exception, ExceptionKind, Exceptions};
+use crate::network::hard::{Counters, HrtBuffers, Role};
+use crate::network::soft::{self, Etch, EtchCounters, PriorityMap, Tag};
+use crate::services::{NodeView, Services};
+use crate::time::Instant;
+use crate::uid::Subject;
+use core::task::{Poll, Waker};
+
+/// Access to the HRT message buffers, which the two halves share.
+///
+/// The buffers themselves implement it, for a program in which nothing runs concurrently. In firmware, an
+/// implementation locks them for the time of the call, which copies at most one event.
+pub trait HardAccess<const SLOTS: usize> {
+    /// Calls `access` with the buffers.
+    fn with<R>(&mut self, access: impl FnOnce(&mut HrtBuffers<SLOTS>) -> R) -> R;
+}
+
+impl<const SLOTS: usize> HardAccess<SLOTS> for HrtBuffers<SLOTS> {
+    fn with<R>(&mut self, access: impl FnOnce(&mut HrtBuffers<SLOTS>) -> R) -> R {
+        access(self)
+    }
+}
+
+/// What the owner of an [`EventHalf`] is to do next.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[must_use]
+pub enum Step {
+    /// Have the driver carry this out, then poll again.
+    Command(Command),
+    /// Nothing is to be done before this instant, if nothing else happens.
+    SleepUntil(Instant),
+}
+
+const PUBLISHES: Role = Role { publishes: true, subscribes: false };
+const SUBSCRIBES: Role = Role { publishes: false, subscribes: true };
+
+const SERVICES: Tag = Tag::SERVICES;
+
+/// Exceptions that wait for the application; further ones are counted only.
+const EXCEPTIONS: usize = 16;
+
+/// The event-triggered half of a node.
+///
+/// | capacity | of |
+/// |---|---|
+/// | `SLOTS` | slots of the calendar in which the node takes part, a power of two |
+/// | `CHANNELS` | channels that it announces or subscribes to, a power of two |
+/// | `SUBSCRIPTIONS` | subscriptions |
+/// | `EVENTS` | received events that wait, in all queues together |
+/// | `SOFT`, `NRT` | events that wait to be sent |
+///
+/// `S` are the [services](crate::services) that it takes part in.
+#[derive(Debug)]
+// In this order for the reason that the event layer is in its order.
+#[repr(C)]
+pub struct EventHalf<
+    const SLOTS: usize,
+    const CHANNELS: usize,
+    const SUBSCRIPTIONS: usize,
+    const EVENTS: usize,
+    const SOFT: usize,
+    const NRT: usize,
+    S = (),
+> {
+    calendar: &'static Calendar,
+    own: Own,
+    /// Received frames that concern nobody here.
+    foreign: u32,
+    layer: EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>,
+    etch: Etch<SOFT, NRT>,
+    /// What the counters of each HRT message buffer were when they were last looked at.
+    seen: [Counters; SLOTS],
+    exceptions: Exceptions<EXCEPTIONS>,
+    exception_waker: Option<Waker>,
+    services: S,
+    view: NodeView,
+}
+
+impl<
+    const SLOTS: usize,
+    const CHANNELS: usize,
+    const SUBSCRIPTIONS: usize,
+    const EVENTS: usize,
+    const SOFT: usize,
+    const NRT: usize,
+    S: Services,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S>
+{
+    /// A node in a segment with this calendar. Without a TxNode it publishes nothing; a service may give
+    /// it one. Δt_p is one longest frame.
+    pub const fn new(tx_node: Option<TxNode>, calendar: &'static Calendar, services: S) -> Self {
+        let map = PriorityMap::of(calendar.segment().bit_rate);
+        Self {
+            calendar,
+            own: Own::new(tx_node),
+            layer: EventLayer::new(tx_node, map),
+            etch: Etch::new(map),
+            seen: [Counters::NONE; SLOTS],
+            exceptions: Exceptions::new(),
+            exception_waker: None,
+            foreign: 0,
+            services,
+            view: NodeView { exceptions: 0, transmit_errors: 0, receive_errors: 0 },
+        }
+    }
+
+    /// The services that the node takes part in.
+    pub const fn services(&self) -> &S {
+        &self.services
+    }
+
+    /// As [`services`](Self::services), to ask for something. Then [`poll`](Self::poll).
+    pub const fn services_mut(&mut self) -> &mut S {
+        &mut self.services
+    }
+
+    /// Fetches the oldest exception.
+    pub fn take_exception(&mut self) -> Option<Exception> {
+        self.exceptions.take()
+    }
+
+    /// As [`take_exception`](Self::take_exception) in a task: if there is none, the next wakes it.
+    pub fn poll_exception(&mut self, waker: &Waker) -> Poll<Exception> {
+        match self.exceptions.take() {
+            Some(exception) => Poll::Ready(exception),
+            None => {
+                self.exception_waker = Some(waker.clone());
+                Poll::Pending
+            }
+        }
+    }
+
+    /// How many exceptions of a kind there were. Wraps.
+    pub fn exceptions(&self, kind: ExceptionKind) -> u32 {
+        self.exceptions.count(kind)
+    }
+
+    /// How many exceptions were counted but not kept, because the application did not fetch them. Wraps.
+    pub fn exceptions_dropped(&self) -> u32 {
+        self.exceptions.dropped()
+    }
+
+    /// What happened on a channel at this node.
+    pub fn channel_counters(&self, subject: Subject) -> Option<ChannelCounters> {
+        self.layer.counters(subject)
+    }
+
+    /// Soft and non real-time events that wait to be sent, those of the services included: for an application
+    /// that publishes as much as the bus takes.
+    pub fn waiting(&self) -> usize {
+        self.etch.len()
+    }
+
+    /// What went through the soft and non real-time path.
+    pub fn etch_counters(&self) -> EtchCounters {
+        self.etch.counters()
+    }
+
+    /// How many received frames concerned nobody here. Wraps.
+    pub fn foreign_frames(&self) -> u32 {
+        self.foreign
+    }
+
+    /// The controller's error counters (TEC and REC), for the status that the node tells.
+    pub fn set_error_counters(&mut self, transmit_errors: u8, receive_errors: u8) {
+        self.view = NodeView { transmit_errors, receive_errors, ..self.view };
+    }
+
+    #[inline]
+    fn note(&mut self, accepted: Accepted, now: Instant) {
+        match accepted {
+            Accepted::Delivered => {}
+            Accepted::Foreign => self.foreign = self.foreign.wrapping_add(1),
+            Accepted::Overflowed(subject) => self.raise(Some(subject), ExceptionKind::QueueFull, now),
+            Accepted::Malformed(subject) => self.raise(Some(subject), ExceptionKind::Malformed, now),
+        }
+    }
+
+    fn raise_soft(&mut self, exception: &soft::Exception, at: Instant) {
+        if exception.tag == SERVICES {
+            // The services count themselves what they could not send.
+            return;
+        }
+        let kind = match exception.kind {
+            soft::ExceptionKind::MissedDeadline => ExceptionKind::MissedDeadline,
+            soft::ExceptionKind::Expired => {
+                self.layer.note_departure(exception.tag, false);
+                ExceptionKind::ValidityExpired
+            }
+        };
+        self.raise(self.layer.subject(exception.tag), kind, at);
+    }
+
+    fn raise(&mut self, subject: Option<Subject>, kind: ExceptionKind, at: Instant) {
+        self.exceptions.raise_times(Exception { subject, kind, at }, 1);
+        self.wake_exception_handler();
+    }
+
+    fn wake_exception_handler(&mut self) {
+        if !self.exceptions.is_empty()
+            && let Some(waker) = self.exception_waker.take()
+        {
+            waker.wake();
+        }
+    }
+}
+
+/// The node's TxNode, if it has one, as a number that no other TxNode equals. One compare for each frame.
+#[derive(Clone, Copy, Debug)]
+struct Own(u8);
+
+impl Own {
+    const NONE: Self = Self(u8::MAX);
+
+    const fn new(tx_node: Option<TxNode>) -> Self {
+        match tx_node {
+            Some(tx_node) => Self(tx_node.get()),
+            None => Self::NONE,
+        }
+    }
+
+    const fn get(self) -> Option<TxNode> {
+        TxNode::new(self.0)
+    }
+
+    #[inline]
+    const fn is(self, tx_node: TxNode) -> bool {
+        self.0 == tx_node.get()
+    }
+}
