@@ -132,7 +132,7 @@ impl<
     /// Publishes an event, `PLAIN` or with times or context of its own. In two versions, so that the one
     /// does not bear what the other costs.
     #[inline(never)]
-    pub(super) fn submit<const PLAIN: bool>(
+    fn submit<const PLAIN: bool>(
         &mut self,
         now: Instant,
         tag: Tag,
@@ -161,7 +161,7 @@ impl<
 
     /// The event has been submitted, or there was no room for it.
     #[inline]
-    pub(super) fn conclude(
+    fn conclude(
         &mut self,
         now: Instant,
         outgoing: Outgoing,
@@ -242,7 +242,7 @@ impl<
     }
 
     /// Takes part in the slots of a hard real-time channel; nothing for the others.
-    pub(super) fn attach(
+    fn attach(
         &mut self,
         declared: &Declared,
         role: Role,
@@ -270,7 +270,7 @@ impl<
     }
 
     /// Tells the services what the node does on a channel now.
-    pub(super) fn declare(&mut self, declared: &Declared) -> Result<(), AnnounceError> {
+    fn declare(&mut self, declared: &Declared) -> Result<(), AnnounceError> {
         let (publishes, subscribes) = self.layer.roles(declared.subject);
         let declaration = Declaration {
             subject: declared.subject,
@@ -286,7 +286,7 @@ impl<
     /// A publication reaches the subscribers on this node, too, with the priority that its frame would
     /// have now.
     #[inline(never)]
-    pub(super) fn deliver_locally(&mut self, outgoing: Outgoing, now: Instant) {
+    fn deliver_locally(&mut self, outgoing: Outgoing, now: Instant) {
         let id = outgoing.frame.id;
         let priority = match id.priority() {
             priority if priority > Priority::SOFT_LEAST_URGENT => priority,
@@ -298,12 +298,12 @@ impl<
     }
 
     #[cold]
-    pub(super) fn raise_replaced(&mut self, tag: Tag, now: Instant) {
+    fn raise_replaced(&mut self, tag: Tag, now: Instant) {
         self.raise(self.layer.subject(tag), ExceptionKind::EventReplaced, now);
     }
 
     #[cold]
-    pub(super) fn raise_malformed<C>(&mut self, subscription: &Subscription<C>, received_at: Instant) {
+    fn raise_malformed<C>(&mut self, subscription: &Subscription<C>, received_at: Instant) {
         let subject = self.layer.note_malformed(subscription);
         self.raise(subject, ExceptionKind::Malformed, received_at);
     }

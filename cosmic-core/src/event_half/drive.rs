@@ -62,15 +62,14 @@ impl<
         let before = core::mem::replace(seen, counters);
         let mut pairs = before.exceptional().into_iter().zip(counters.exceptional());
         if pairs.any(|(before, after)| before != after) {
-            let mismatch = hard.with(|buffers| buffers.is_inhibited());
-            let etag = hard.with(|buffers| buffers.etag(buffer));
+            let (mismatch, etag) = hard.with(|buffers| (buffers.is_inhibited(), buffers.etag(buffer)));
             let subject = etag.and_then(|etag| self.layer.subject_of(etag));
             self.raise_hard(subject, (&before, &counters), mismatch, now);
         }
     }
 
     /// Raises what has happened in the slots of a buffer.
-    pub(super) fn raise_hard(
+    fn raise_hard(
         &mut self,
         subject: Option<Subject>,
         (before, after): (&Counters, &Counters),
@@ -116,7 +115,7 @@ impl<
 
     /// What has no room now is asked for again when a frame has left. If only the non real-time queue is
     /// full, because more urgent events of others fill the bus, the clock must go on.
-    pub(super) fn next_request(&mut self, now: Instant) -> Option<Request> {
+    fn next_request(&mut self, now: Instant) -> Option<Request> {
         let view = NodeView { exceptions: self.exceptions.total(), ..self.view };
         match () {
             () if self.etch.has_room_for_services() => self.services.poll(now, &view),
@@ -125,7 +124,7 @@ impl<
         }
     }
 
-    pub(super) fn services_wakeup(&self) -> Instant {
+    fn services_wakeup(&self) -> Instant {
         match () {
             () if self.etch.has_room_for_services() => self.services.next_wakeup(),
             () if self.etch.has_room_for_urgent() => self.services.next_urgent_wakeup(),
@@ -133,7 +132,7 @@ impl<
         }
     }
 
-    pub(super) fn carry_out(
+    fn carry_out(
         &mut self,
         request: Request,
         now: Instant,
@@ -205,12 +204,12 @@ impl<
     }
 
     #[inline]
-    pub(super) fn is_mine(&self, frame: &Frame) -> bool {
+    fn is_mine(&self, frame: &Frame) -> bool {
         self.own.is(frame.id.tx_node())
     }
 
     #[inline]
-    pub(super) fn reject(&mut self, frame: &Frame, received_at: Instant) {
+    fn reject(&mut self, frame: &Frame, received_at: Instant) {
         if frame.id.etag().is_reserved() || self.is_mine(frame) {
             self.services.on_frame(frame, received_at);
         } else {
@@ -221,7 +220,7 @@ impl<
     /// The long way: out of line, and the channel is looked up again, so that the short one needs fewer
     /// registers.
     #[inline(never)]
-    pub(super) fn deliver(&mut self, frame: &Frame, received_at: Instant) {
+    fn deliver(&mut self, frame: &Frame, received_at: Instant) {
         if let Some(route) = self.layer.look_up(frame.id.etag()) {
             let accepted = self.layer.deliver(route.tag, frame, received_at);
             self.note(accepted, received_at);

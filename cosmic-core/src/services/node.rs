@@ -331,8 +331,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     fn on_bound(&mut self, subject: Subject, old: Option<Etag>, etag: Etag, now: Instant) -> Request {
         if let Some(old) = old {
-            self.declarations.withdraw(now, old, Side::Publisher);
-            self.declarations.withdraw(now, old, Side::Subscriber);
+            self.withdraw_both_sides(now, old);
             // Another subject may have been given the old etag just before.
             self.wanted.iter_mut().flatten().for_each(|wanted| wanted.changed = true);
         }
@@ -344,13 +343,18 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         Request::Bound(subject, etag)
     }
 
+    fn withdraw_both_sides(&mut self, now: Instant, etag: Etag) {
+        for side in [Side::Publisher, Side::Subscriber] {
+            self.declarations.withdraw(now, etag, side);
+        }
+    }
+
     /// The subject has no etag; if it had one, that is another's now.
     fn on_unbound(&mut self, subject: Subject, now: Instant) -> Request {
         let of_subject = |wanted: &&mut Wanted| wanted.subject == subject;
         let wanted = self.wanted.iter_mut().flatten().find(of_subject);
         if let Some(old) = wanted.and_then(|wanted| wanted.etag.take()) {
-            self.declarations.withdraw(now, old, Side::Publisher);
-            self.declarations.withdraw(now, old, Side::Subscriber);
+            self.withdraw_both_sides(now, old);
         }
         Request::Unbound(subject)
     }
