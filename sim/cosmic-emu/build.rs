@@ -7,7 +7,7 @@ use std::path::PathBuf;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed=COSMIC_PLAN");
-    let kept = || PathBuf::from("../firmware/plan/calendar.rs");
+    let kept = || PathBuf::from("../../firmware/plan/calendar.rs");
     let plan = env::var_os("COSMIC_PLAN").map_or_else(kept, PathBuf::from);
     let path = plan.canonicalize().map_err(|error| format!("COSMIC_PLAN {}: {error}", plan.display()))?;
     println!("cargo::rerun-if-changed={}", path.display());
