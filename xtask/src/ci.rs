@@ -53,8 +53,8 @@ fn clippy(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let mut host = workspace.cargo();
     host.args(["clippy", "--all-targets", "--", "--deny", "warnings"]);
     let mut emulator = workspace.cargo();
-    emulator.args(["clippy", "--release", "--all-targets", "--package", demo::PACKAGE]);
-    emulator.args(["--features", demo::COMPARISON]);
+    emulator.args(["clippy", "--release", "--all-targets"]);
+    emulator.args(demo::EMULATED_TESTS);
     emulator.args(["--", "--deny", "warnings"]);
     let mut tally = Tally::default();
     tally.add(check("clippy on the host", &mut host));

@@ -66,11 +66,13 @@ fn take_cluster(arguments: &[String]) -> Result<(Option<PathBuf>, Vec<String>)> 
     Ok((cluster, others))
 }
 
-/// The package of the emulated cluster.
-pub(crate) const PACKAGE: &str = "cosmic-emu";
+/// The package of the demo.
+const PACKAGE: &str = "cosmic-demo";
 
-/// Its feature that compares its processor core with another emulator, for tests.
-pub(crate) const COMPARISON: &str = "unicorn";
+/// What cargo is to test of the emulated cluster and the demo. The feature compares the processor core with
+/// another emulator.
+pub(crate) const EMULATED_TESTS: [&str; 6] =
+    ["--package", "cosmic-emu", "--package", PACKAGE, "--features", "cosmic-emu/unicorn"];
 
 #[cfg(test)]
 mod tests {

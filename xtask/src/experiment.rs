@@ -21,7 +21,7 @@ pub(crate) struct Options {
 /// Builds and runs it. Its exit code is ours.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode> {
     let mut program = workspace.cargo();
-    program.args(["build", "--release", "--package", "cosmic-bus", "--bin", "experiment"]);
+    program.args(["build", "--release", "--package", "cosmic-experiments", "--bin", "experiment"]);
     step("building the experiments", || run::run(&mut program))?;
     // Not by `cargo run`, which would move it to the root of the repository: the files that it is to
     // write are named from where the user is.

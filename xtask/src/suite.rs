@@ -100,15 +100,14 @@ pub(crate) fn host(workspace: &Workspace) -> Result<Tally> {
     })
 }
 
-/// The tests of the emulated cluster, which runs the images.
+/// The tests of the emulated cluster and of the demo, which run the images.
 ///
 /// In the profile of the demo, for speed.
 pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let built = build::firmware(workspace, way, None)?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut command = workspace.cargo();
-    command.args(["test", "--no-fail-fast", "--release", "--package", demo::PACKAGE]);
-    command.args(["--features", demo::COMPARISON]);
+    command.args(["test", "--no-fail-fast", "--release"]).args(demo::EMULATED_TESTS);
     command.env(IMAGES, directory);
     step("testing the firmware in the emulated cluster", || cargo_test(&mut command))
 }

@@ -45,7 +45,6 @@
 mod clock;
 mod cluster;
 mod cpu;
-pub mod demo;
 mod exception;
 mod image;
 mod log;

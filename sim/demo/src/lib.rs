@@ -1,4 +1,4 @@
-//! The demonstration: runs the example cluster, judges what happened, and shows it.
+//! The demonstration: runs the example cluster, judges what happened, and shows it. `cargo xtask demo` starts it.
 //!
 //! | module | does |
 //! |---|---|

@@ -6,10 +6,10 @@ use svg::node::element::Group;
 
 use super::canvas::{Anchor, Area, Label, Scale, cross, explained};
 use super::palette::{ERROR, HATCH, Look, PAPER};
-use crate::demo::bus_log::{Attempt, Ending};
-use crate::demo::example::Cluster;
-use crate::demo::journal::Journal;
-use crate::demo::ledger::sequence_of;
+use crate::bus_log::{Attempt, Ending};
+use crate::example::Cluster;
+use crate::journal::Journal;
+use crate::ledger::sequence_of;
 
 /// A lane for frames.
 #[derive(Clone, Copy, Debug)]

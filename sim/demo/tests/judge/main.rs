@@ -8,16 +8,16 @@ use cosmic_bus::{BitPosition, Bus, Chance, Fault, FaultModel, Filter, Rule, Virt
 use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::time::{Duration, Instant};
-use cosmic_emu::demo::bus_log::BusLog;
-use cosmic_emu::demo::clock::NodeClock;
-use cosmic_emu::demo::example::{Channel, EXAMPLE};
-use cosmic_emu::demo::hard::Fate;
-use cosmic_emu::demo::journal::Journal;
-use cosmic_emu::demo::picture;
-use cosmic_emu::demo::record::{Record, RecordKind};
-use cosmic_emu::demo::report::{Report, Settings};
-use cosmic_emu::demo::table::{Style, Tables, WIDTH};
-use cosmic_emu::demo::verdict::{Loss, Verdict, Violation};
+use cosmic_demo::bus_log::BusLog;
+use cosmic_demo::clock::NodeClock;
+use cosmic_demo::example::{Channel, EXAMPLE};
+use cosmic_demo::hard::Fate;
+use cosmic_demo::journal::Journal;
+use cosmic_demo::picture;
+use cosmic_demo::record::{Record, RecordKind};
+use cosmic_demo::report::{Report, Settings};
+use cosmic_demo::table::{Style, Tables, WIDTH};
+use cosmic_demo::verdict::{Loss, Verdict, Violation};
 use embedded_can::ExtendedId;
 use host_cluster::{Meddling, Run};
 

@@ -16,12 +16,12 @@ use cosmic_core::can::{Frame, Priority, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::time::{Duration, GlobalInstant};
 
-use super::bus_log::Ending;
-use super::clock::GlobalTimeline;
-use super::journal::Journal;
-use super::ledger::{Ledger, sequence_of};
-use super::span::{Span, Spread};
-use super::verdict::Violation;
+use crate::bus_log::Ending;
+use crate::clock::GlobalTimeline;
+use crate::journal::Journal;
+use crate::ledger::{Ledger, sequence_of};
+use crate::span::{Span, Spread};
+use crate::verdict::Violation;
 
 /// How late a task may see an instant that has come, besides the release jitter of the calendar: the
 /// longest time for which tasks and interrupts of lower priority lock what it needs.

@@ -3,8 +3,8 @@
 use cosmic_bus::TrafficClass;
 use cosmic_core::can::Etag;
 
-use crate::demo::bus_log::Attempt;
-use crate::demo::example::Cluster;
+use crate::bus_log::Attempt;
+use crate::example::Cluster;
 
 /// A fill and the colour of the text on it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

@@ -14,15 +14,15 @@ use cosmic_core::time::{Duration, Instant};
 use embedded_can::ExtendedId;
 use thiserror::Error;
 
-use super::bus_log::BusLog;
-use super::clock::NodeClock;
-use super::example::{Cluster as Example, EXAMPLE};
-use super::hard;
-use super::journal::{Journal, LoggedError};
-use super::load::{Background, Share};
-use super::record::{Record, RecordError, Records};
-use super::span::Span;
-use crate::{ClockError, Cluster, LoadError, NodeConfig, NodeId, ObservationKind, Port, Station};
+use crate::bus_log::BusLog;
+use crate::clock::NodeClock;
+use crate::example::{Cluster as Example, EXAMPLE};
+use crate::hard;
+use crate::journal::{Journal, LoggedError};
+use crate::load::{Background, Share};
+use crate::record::{Record, RecordError, Records};
+use crate::span::Span;
+use cosmic_emu::{ClockError, Cluster, LoadError, NodeConfig, NodeId, ObservationKind, Port, Station};
 
 /// What a run is to be like.
 #[derive(Clone, PartialEq, Debug)]

@@ -2,8 +2,8 @@
 
 use core::fmt::{self, Write as _};
 
-use super::report::{ChannelReport, Report, SubscriberReport};
-use super::span::{Range, Span};
+use crate::report::{ChannelReport, Report, SubscriberReport};
+use crate::span::{Range, Span};
 
 /// No line is longer.
 pub const WIDTH: usize = 100;

@@ -10,10 +10,10 @@ use cosmic_core::can::{Etag, Frame, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::time::Duration;
 
-use super::bus_log::Ending;
-use super::example::{Channel, Class};
-use super::journal::Journal;
-use super::record::RecordKind;
+use crate::bus_log::Ending;
+use crate::example::{Channel, Class};
+use crate::journal::Journal;
+use crate::record::RecordKind;
 
 /// The events of all channels and the exceptions of all nodes.
 #[derive(Clone, Debug)]

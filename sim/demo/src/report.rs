@@ -8,14 +8,14 @@ use cosmic_core::can::TxNode;
 use cosmic_core::event_layer::ExceptionKind;
 use serde::Serialize;
 
-use super::bus_log::{Attempt, Ending};
-use super::example::{Channel, Class};
-use super::hard::{self, Fate};
-use super::journal::Journal;
-use super::order;
-use super::record::EXCEPTIONS;
-use super::span::{Range, Span, Spread};
-use super::verdict::{Tally, Verdict};
+use crate::bus_log::{Attempt, Ending};
+use crate::example::{Channel, Class};
+use crate::hard::{self, Fate};
+use crate::journal::Journal;
+use crate::order;
+use crate::record::EXCEPTIONS;
+use crate::span::{Range, Span, Spread};
+use crate::verdict::{Tally, Verdict};
 
 /// What the run was asked for.
 #[derive(Clone, Copy, PartialEq, Serialize, Debug)]

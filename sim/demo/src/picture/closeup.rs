@@ -9,10 +9,10 @@ use super::canvas::{Anchor, Area, Label, Scale, line, pointer};
 use super::frames::{self, Lane};
 use super::palette::{ERROR, FAINT_INK, GRID, INK, LANE, Look, MARK, PARTS};
 use super::{LEFT, RIGHT, axis};
-use crate::demo::hard::Occurrence;
-use crate::demo::journal::Journal;
-use crate::demo::report;
-use crate::demo::verdict::Verdict;
+use crate::hard::Occurrence;
+use crate::journal::Journal;
+use crate::report;
+use crate::verdict::Verdict;
 
 /// The height of the panel for so many nodes.
 pub(super) fn height(nodes: usize) -> f64 {
@@ -128,7 +128,7 @@ fn seen(
             group = group.add(mark(scale.x(life.published_at), y, Look::Hard.paint().fill, &text, false));
         }
         for delivery in life.deliveries_to(node) {
-            let off = crate::demo::span::Span::between(occurrence.window.delivery, delivery.visible_at);
+            let off = crate::span::Span::between(occurrence.window.delivery, delivery.visible_at);
             let text = format!("sees {} {number} ({:+.1} µs)", channel.name, off.as_micros());
             group = group.add(mark(scale.x(delivery.visible_at), y, Look::Hard.paint().fill, &text, false));
         }

@@ -4,12 +4,12 @@ use cosmic_bus::VirtualInstant;
 use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 
-use super::example::{Channel, Class, Cluster};
-use super::hard::{self, Fate, Slots};
-use super::journal::{Journal, LoggedError};
-use super::ledger::{Account, Ledger, Life};
-use super::order::{self, Order};
-use super::span::Span;
+use crate::example::{Channel, Class, Cluster};
+use crate::hard::{self, Fate, Slots};
+use crate::journal::{Journal, LoggedError};
+use crate::ledger::{Account, Ledger, Life};
+use crate::order::{self, Order};
+use crate::span::Span;
 
 /// Something that was not as promised.
 #[derive(Clone, PartialEq, Eq, Debug)]

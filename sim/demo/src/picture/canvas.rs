@@ -5,7 +5,7 @@ use svg::Node as _;
 use svg::node::element::{Definitions, Group, Line, Path, Pattern, Polygon, Rectangle, Text, Title};
 
 use super::palette::{ERROR, INK, PAPER};
-use crate::demo::span::Span;
+use crate::span::Span;
 
 /// Where instants lie on the paper.
 #[derive(Clone, Copy, Debug)]

@@ -3,11 +3,11 @@
 use cosmic_bus::{Accounting, StationId, VirtualInstant};
 use cosmic_core::can::{BitRate, TxNode};
 
-use super::bus_log::BusLog;
-use super::clock::{GlobalTimeline, NodeClock};
-use super::example::Cluster;
-use super::load::BackgroundLog;
-use super::record::Record;
+use crate::bus_log::BusLog;
+use crate::clock::{GlobalTimeline, NodeClock};
+use crate::example::Cluster;
+use crate::load::BackgroundLog;
+use crate::record::Record;
 
 /// A run, as it was observed from outside.
 #[derive(Clone, Debug)]

@@ -8,9 +8,9 @@ use super::canvas::{Anchor, Area, Label, Scale, line};
 use super::frames::{self, Lane};
 use super::palette::{FAINT_INK, INK, LANE, MARK, WINDOW};
 use super::{LEFT, RIGHT};
-use crate::demo::hard::Occurrence;
-use crate::demo::journal::Journal;
-use crate::demo::verdict::Verdict;
+use crate::hard::Occurrence;
+use crate::journal::Journal;
+use crate::verdict::Verdict;
 
 /// The height of the panel.
 pub(super) const HEIGHT: f64 = CYCLES as f64 * ROW + 44.0;

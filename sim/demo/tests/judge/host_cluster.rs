@@ -15,12 +15,12 @@ use cosmic_core::protocol::Rank;
 use cosmic_core::services::ClockService;
 use cosmic_core::time::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant, Rate};
-use cosmic_emu::demo::bus_log::BusLog;
-use cosmic_emu::demo::clock::NodeClock;
-use cosmic_emu::demo::example::{self, Class, EXAMPLE};
-use cosmic_emu::demo::journal::Journal;
-use cosmic_emu::demo::load::BackgroundLog;
-use cosmic_emu::demo::record::{Record, RecordKind};
+use cosmic_demo::bus_log::BusLog;
+use cosmic_demo::clock::NodeClock;
+use cosmic_demo::example::{self, Class, EXAMPLE};
+use cosmic_demo::journal::Journal;
+use cosmic_demo::load::BackgroundLog;
+use cosmic_demo::record::{Record, RecordKind};
 
 type Content = [u8; 8];
 type Records = Rc<RefCell<Vec<(TxNode, Record)>>>;

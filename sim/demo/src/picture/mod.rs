@@ -15,11 +15,11 @@ mod palette;
 use cosmic_bus::VirtualInstant;
 use svg::Document;
 
-use super::hard::{Fate, Occurrence};
-use super::journal::Journal;
-use super::report::Settings;
-use super::span::Span;
-use super::verdict::Verdict;
+use crate::hard::{Fate, Occurrence};
+use crate::journal::Journal;
+use crate::report::Settings;
+use crate::span::Span;
+use crate::verdict::Verdict;
 use canvas::{Area, Label, definitions};
 use palette::{FAINT_INK, PAPER};
 

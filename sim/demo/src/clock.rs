@@ -10,7 +10,7 @@ use cosmic_core::can::TxNode;
 use cosmic_core::protocol::{FollowUp, SyncMessage, SyncSequence};
 use cosmic_core::time::{GlobalInstant, Instant};
 
-use super::bus_log::{Attempt, Ending};
+use crate::bus_log::{Attempt, Ending};
 
 /// A node's local time against true time: the straight line through two points.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

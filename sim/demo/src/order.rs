@@ -9,10 +9,10 @@ use cosmic_bus::VirtualInstant;
 use cosmic_core::can::{BitRate, Frame, Priority, TxNode};
 use cosmic_core::network::soft::PriorityMap;
 
-use super::bus_log::is_soft;
-use super::journal::Journal;
-use super::ledger::{Ledger, Life};
-use super::span::Span;
+use crate::bus_log::is_soft;
+use crate::journal::Journal;
+use crate::ledger::{Ledger, Life};
+use crate::span::Span;
 
 /// How soft real-time events competed.
 #[derive(Clone, PartialEq, Debug, Default)]

@@ -9,14 +9,14 @@ use std::process::ExitCode;
 use clap::Parser;
 use cosmic_bus::{Chance, VirtualInstant};
 use cosmic_core::time::Duration;
-use cosmic_emu::demo::load::Share;
-use cosmic_emu::demo::output::{self, Pending};
-use cosmic_emu::demo::picture;
-use cosmic_emu::demo::progress::Progress;
-use cosmic_emu::demo::report::{Report, Settings};
-use cosmic_emu::demo::run::{self, Plan};
-use cosmic_emu::demo::table::{Style, Tables};
-use cosmic_emu::demo::verdict::Verdict;
+use cosmic_demo::load::Share;
+use cosmic_demo::output::{self, Pending};
+use cosmic_demo::picture;
+use cosmic_demo::progress::Progress;
+use cosmic_demo::report::{Report, Settings};
+use cosmic_demo::run::{self, Plan};
+use cosmic_demo::table::{Style, Tables};
+use cosmic_demo::verdict::Verdict;
 
 /// Run three nodes and a background load on an emulated CAN bus, and judge what each event channel did
 #[derive(Parser, Debug)]
