@@ -1,7 +1,9 @@
 //! What an application may call, what it gives up, and what it is refused.
 
+use cosmic_core::Subject;
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
+use cosmic_core::event_half::{Commands, EventHalf, Input, Step, receive};
 use cosmic_core::event_layer::{
     AnnounceError, Attribute, Channel, Context, Depth, Event, ExceptionKind, Filter, HardAttributes,
     Importance, NonRealTimeAttributes, Policy, PublishError, SoftAttributes, SubscribeError,
@@ -9,7 +11,6 @@ use cosmic_core::event_layer::{
 use cosmic_core::network::hard::{Dispatcher, HrtBuffers, Step as HardStep};
 use cosmic_core::network::soft::RESERVED;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core::{EventHalf, Step, Subject};
 
 const ME: TxNode = TxNode::new(1).unwrap();
 const OTHER: TxNode = TxNode::new(2).unwrap();
@@ -74,8 +75,8 @@ fn fifo(depth: u8) -> Policy {
 type Half = EventHalf<2, 4, 3, 4, { 2 + RESERVED }, { 2 + RESERVED }>;
 type Buffers = HrtBuffers<2>;
 
-fn node() -> (Half, Buffers) {
-    (Half::new(Some(ME), &CALENDAR, ()), Buffers::new(GlobalClock::free_running()))
+fn node() -> Half {
+    Half::new(Some(ME), &CALENDAR, (), Buffers::new(GlobalClock::free_running()))
 }
 
 fn frame(etag: u16, bytes: &[u8]) -> Frame {
@@ -85,8 +86,7 @@ fn frame(etag: u16, bytes: &[u8]) -> Frame {
 
 #[test]
 fn what_cannot_be_announced() {
-    let (mut half, mut hard_buffers) = node();
-    let hb = &mut hard_buffers;
+    let mut half = node();
     // The slot is another node's; of another period, omission degree or kind; there is none.
     let period = Duration::from_millis(5);
     let wrong = [
@@ -97,102 +97,99 @@ fn what_cannot_be_announced() {
         Channel::hard(subject(1), Etag::new(200).unwrap(), QUALITY),
     ];
     for channel in &wrong {
-        assert_eq!(half.announce(channel, hb).unwrap_err(), AnnounceError::NotInCalendar);
+        assert_eq!(half.announce(channel).unwrap_err(), AnnounceError::NotInCalendar);
     }
     // Content that is longer than the slot.
     let long: Channel<u32> = Channel::hard(subject(1), Etag::new(100).unwrap(), QUALITY);
-    assert_eq!(half.announce(&long, hb).unwrap_err(), AnnounceError::NotInCalendar);
-    half.announce(&SOFT, hb).unwrap();
+    assert_eq!(half.announce(&long).unwrap_err(), AnnounceError::NotInCalendar);
+    half.announce(&SOFT).unwrap();
     // The same subject with another content; another subject with the same etag.
     let contradiction: Channel<i16> = Channel::soft(
         SOFT.subject(),
         SoftAttributes { deadline: Duration::from_millis(5), validity: Duration::from_millis(20) },
     )
     .with_etag(Etag::new(5_000).unwrap());
-    assert_eq!(half.announce(&contradiction, hb).unwrap_err(), AnnounceError::Contradiction);
-    assert_eq!(half.announce(&soft(0x201, 5_000), hb).unwrap_err(), AnnounceError::EtagInUse);
+    assert_eq!(half.announce(&contradiction).unwrap_err(), AnnounceError::Contradiction);
+    assert_eq!(half.announce(&soft(0x201, 5_000)).unwrap_err(), AnnounceError::EtagInUse);
     for number in 1..4 {
-        half.announce(&soft(0x200 + number, 5_000 + number as u16), hb).unwrap();
+        half.announce(&soft(0x200 + number, 5_000 + number as u16)).unwrap();
     }
-    assert_eq!(half.announce(&soft(0x210, 6_000), hb).unwrap_err(), AnnounceError::TooManyChannels);
-    let mut nameless = Half::new(None, &CALENDAR, ());
-    assert_eq!(nameless.announce(&hard(0), hb).unwrap_err(), AnnounceError::NoTxNode);
+    assert_eq!(half.announce(&soft(0x210, 6_000)).unwrap_err(), AnnounceError::TooManyChannels);
+    let mut nameless = Half::new(None, &CALENDAR, (), Buffers::new(GlobalClock::free_running()));
+    assert_eq!(nameless.announce(&hard(0)).unwrap_err(), AnnounceError::NoTxNode);
 }
 
 #[test]
 fn what_cannot_be_subscribed_to() {
-    let (mut half, mut hard_buffers) = node();
-    let hb = &mut hard_buffers;
-    half.subscribe(&hard(0), Filter::ALL, Policy::Latest, hb).unwrap();
-    half.subscribe(&hard(1), Filter::ALL, Policy::Latest, hb).unwrap();
+    let mut half = node();
+    half.subscribe(&hard(0), Filter::ALL, Policy::Latest).unwrap();
+    half.subscribe(&hard(1), Filter::ALL, Policy::Latest).unwrap();
     let full = SubscribeError::Channel(AnnounceError::TooManySlots);
-    assert_eq!(half.subscribe(&hard(2), Filter::ALL, Policy::Latest, hb).unwrap_err(), full);
-    half.subscribe(&SOFT, Filter::ALL, fifo(1), hb).unwrap();
+    assert_eq!(half.subscribe(&hard(2), Filter::ALL, Policy::Latest).unwrap_err(), full);
+    half.subscribe(&SOFT, Filter::ALL, fifo(1)).unwrap();
     let full = SubscribeError::TooManySubscriptions;
-    assert_eq!(half.subscribe(&SOFT, Filter::ALL, fifo(1), hb).unwrap_err(), full);
+    assert_eq!(half.subscribe(&SOFT, Filter::ALL, fifo(1)).unwrap_err(), full);
     assert_eq!(Depth::new(0), None);
 }
 
 #[test]
 fn what_cannot_be_published() {
-    let (mut half, mut hard_buffers) = node();
-    let hb = &mut hard_buffers;
+    let mut half = node();
     let now = at(1_000);
-    let speed = half.announce(&hard(0), hb).unwrap();
-    let temperature = half.announce(&SOFT, hb).unwrap();
+    let speed = half.announce(&hard(0)).unwrap();
+    let temperature = half.announce(&SOFT).unwrap();
     let unbound: Channel<u16> = Channel::soft(
         subject(0x400),
         SoftAttributes { deadline: Duration::from_millis(1), validity: Duration::from_millis(1) },
     );
-    let unbound = half.announce(&unbound, hb).unwrap();
-    assert_eq!(half.publish(now, &unbound, &Event::new(1), hb), Err(PublishError::NotBound));
+    let unbound = half.announce(&unbound).unwrap();
+    assert_eq!(half.publish(now, &unbound, &Event::new(1)), Err(PublishError::NotBound));
     let late = Event::new(1).deadline(now);
-    assert_eq!(half.publish(now, &temperature, &late, hb), Err(PublishError::Deadline));
+    assert_eq!(half.publish(now, &temperature, &late), Err(PublishError::Deadline));
     let short = Event::new(1).deadline(at(3_000)).expires_at(at(2_000));
-    assert_eq!(half.publish(now, &temperature, &short, hb), Err(PublishError::Deadline));
+    assert_eq!(half.publish(now, &temperature, &short), Err(PublishError::Deadline));
     let timed = Event::new(1).deadline(at(3_000));
-    assert_eq!(half.publish(now, &speed, &timed, hb), Err(PublishError::HardDeadline));
+    assert_eq!(half.publish(now, &speed, &timed), Err(PublishError::HardDeadline));
     let placed = Event::new(1).context(Context::EMPTY.with(Attribute::Sensor, 1).unwrap());
-    assert_eq!(half.publish(now, &temperature, &placed, hb), Err(PublishError::TooLong));
+    assert_eq!(half.publish(now, &temperature, &placed), Err(PublishError::TooLong));
     for _ in 0..2 {
-        assert!(half.publish(now, &temperature, &Event::new(1), hb).is_ok());
+        assert!(half.publish(now, &temperature, &Event::new(1)).is_ok());
     }
-    assert_eq!(half.publish(now, &temperature, &Event::new(1), hb), Err(PublishError::QueueFull));
+    assert_eq!(half.publish(now, &temperature, &Event::new(1)), Err(PublishError::QueueFull));
     assert_eq!(half.exceptions(ExceptionKind::TransmitQueueFull), 1);
 }
 
 #[test]
 fn a_cancelled_publication_sends_nothing_any_more() {
-    let (mut half, mut hard_buffers) = node();
-    let hb = &mut hard_buffers;
-    let first = half.announce(&SOFT, hb).unwrap();
-    let second = half.announce(&SOFT, hb).unwrap();
-    let loaded = half.publish(at(0), &first, &Event::new(1), hb).unwrap();
-    assert!(matches!(loaded, Some(Command::Load(Mailbox::Soft, _))));
-    assert_eq!(half.publish(at(0), &second, &Event::new(2), hb), Ok(None));
+    let mut half = node();
+    let first = half.announce(&SOFT).unwrap();
+    let second = half.announce(&SOFT).unwrap();
+    let loaded = half.publish(at(0), &first, &Event::new(1)).unwrap();
+    assert!(matches!(loaded.into_iter().next(), Some(Command::Load(Mailbox::Soft, _))));
+    assert_eq!(half.publish(at(0), &second, &Event::new(2)), Ok(Commands::NONE));
     // While another announcement of the channel stands, its events stay.
-    assert_eq!(half.cancel_publication(second, hb), [None, None]);
-    let again = half.announce(&SOFT, hb).unwrap();
-    assert_eq!(half.cancel_publication(again, hb), [None, None]);
-    assert_eq!(half.cancel_publication(first, hb), [Some(Command::Withdraw(Mailbox::Soft)), None]);
-    half.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(5));
-    assert!(matches!(half.poll(at(5), hb), Step::SleepUntil(_)));
+    assert_eq!(half.cancel_publication(second), Commands::NONE);
+    let again = half.announce(&SOFT).unwrap();
+    assert_eq!(half.cancel_publication(again), Commands::NONE);
+    let commands: Vec<Command> = half.cancel_publication(first).into_iter().collect();
+    assert_eq!(commands, [Command::Withdraw(Mailbox::Soft)]);
+    half.on_input(Input::Outcome(Mailbox::Soft, Outcome::Withdrawn), at(5));
+    assert!(matches!(half.poll(at(5)), Step::SleepUntil(_)));
     assert_eq!(half.channel_counters(SOFT.subject()), None, "nobody uses the channel any more");
     // Its place and its etag are free again.
-    half.announce(&soft(0x999, 5_000), hb).unwrap();
+    half.announce(&soft(0x999, 5_000)).unwrap();
 }
 
 #[test]
 fn a_cancelled_hard_publication_leaves_its_slot_empty() {
-    let (mut half, mut hard_buffers) = node();
-    let hb = &mut hard_buffers;
+    let mut half = node();
     let mut dispatcher = Dispatcher::<2>::new(&CALENDAR);
-    let speed = half.announce(&hard(0), hb).unwrap();
-    half.publish(at(0), &speed, &Event::new(7), hb).unwrap();
-    assert_eq!(half.cancel_publication(speed, hb), [None, None]);
+    let speed = half.announce(&hard(0)).unwrap();
+    assert!(half.publish(at(0), &speed, &Event::new(7)).unwrap().is_empty());
+    assert_eq!(half.cancel_publication(speed), Commands::NONE);
     for now in 0..12 {
         loop {
-            match dispatcher.poll(at(now * 1_000), hb) {
+            match dispatcher.poll(at(now * 1_000), half.hard_mut()) {
                 HardStep::SleepUntil(_) => break,
                 HardStep::Continue => {}
                 step => panic!("{step:?}"),
@@ -203,27 +200,26 @@ fn a_cancelled_hard_publication_leaves_its_slot_empty() {
 
 #[test]
 fn a_cancelled_subscription_gives_back_its_events_and_its_channel() {
-    let (mut half, mut hard_buffers) = node();
-    let hb = &mut hard_buffers;
-    let one = half.subscribe(&SOFT, Filter::ALL, fifo(4), hb).unwrap();
-    let two = half.subscribe(&SOFT, Filter::ALL, fifo(4), hb).unwrap();
+    let mut half = node();
+    let one = half.subscribe(&SOFT, Filter::ALL, fifo(4)).unwrap();
+    let two = half.subscribe(&SOFT, Filter::ALL, fifo(4)).unwrap();
     for value in 0..2 {
-        half.on_frame(&frame(5_000, &[0, value]), at(1));
+        half.on_input(Input::Frame(frame(5_000, &[0, value])), at(1));
     }
     // All four places of the pool are taken.
-    half.on_frame(&frame(5_000, &[0, 9]), at(2));
+    half.on_input(Input::Frame(frame(5_000, &[0, 9])), at(2));
     assert_eq!(half.exceptions(ExceptionKind::QueueFull), 1);
-    half.cancel_subscription(one, hb);
-    half.on_frame(&frame(5_000, &[0, 2]), at(3));
+    half.cancel_subscription(one);
+    half.on_input(Input::Frame(frame(5_000, &[0, 2])), at(3));
     let received: Vec<u16> = std::iter::from_fn(|| half.next(&two)).map(|event| event.content).collect();
     assert_eq!(received, [0, 1, 2]);
-    half.cancel_subscription(two, hb);
-    half.on_frame(&frame(5_000, &[0, 3]), at(4));
+    half.cancel_subscription(two);
+    half.on_input(Input::Frame(frame(5_000, &[0, 3])), at(4));
     assert_eq!(half.foreign_frames(), 1);
     // A subscription in the middle of the list of a channel.
-    let [a, b, c] = [(); 3].map(|()| half.subscribe(&TEXT, Filter::ALL, fifo(1), hb).unwrap());
-    half.cancel_subscription(b, hb);
-    half.on_frame(&frame(Etag::BOUND_FIRST.get(), b"hi"), at(5));
+    let [a, b, c] = [(); 3].map(|()| half.subscribe(&TEXT, Filter::ALL, fifo(1)).unwrap());
+    half.cancel_subscription(b);
+    half.on_input(Input::Frame(frame(Etag::BOUND_FIRST.get(), b"hi")), at(5));
     for subscription in [&a, &c] {
         assert_eq!(half.next(subscription).unwrap().content.as_slice(), b"hi");
         assert!(half.next(subscription).is_none());
@@ -232,11 +228,10 @@ fn a_cancelled_subscription_gives_back_its_events_and_its_channel() {
 
 #[test]
 fn content_of_the_wrong_length_is_dropped_and_told() {
-    let (mut half, mut hard_buffers) = node();
-    let hb = &mut hard_buffers;
-    let subscription = half.subscribe(&SOFT, Filter::ALL, fifo(4), hb).unwrap();
+    let mut half = node();
+    let subscription = half.subscribe(&SOFT, Filter::ALL, fifo(4)).unwrap();
     for bytes in [&[1][..], &[0, 2], &[1, 2, 3]] {
-        half.on_frame(&frame(5_000, bytes), at(1));
+        half.on_input(Input::Frame(frame(5_000, bytes)), at(1));
     }
     assert_eq!(half.next(&subscription).map(|event| event.content), Some(2));
     assert!(half.next(&subscription).is_none());
@@ -247,15 +242,49 @@ fn content_of_the_wrong_length_is_dropped_and_told() {
 
 #[test]
 fn an_expired_event_is_told_and_not_sent() {
-    let (mut half, mut hard_buffers) = node();
-    let hb = &mut hard_buffers;
-    let text = half.announce(&TEXT, hb).unwrap();
-    let command = half.publish(at(0), &text, &Event::new(Payload::new(b"x").unwrap()), hb).unwrap();
-    let Some(Command::Load(Mailbox::NonRealTime, frame)) = command else { panic!("{command:?}") };
+    let mut half = node();
+    let text = half.announce(&TEXT).unwrap();
+    let command = half.publish(at(0), &text, &Event::new(Payload::new(b"x").unwrap())).unwrap();
+    let Some(Command::Load(Mailbox::NonRealTime, frame)) = command.into_iter().next() else {
+        panic!("{command:?}")
+    };
     assert_eq!(frame.id.priority(), Priority::new(251));
-    assert_eq!(half.poll(at(50_000), hb), Step::Command(Command::Withdraw(Mailbox::NonRealTime)));
-    half.on_outcome(Mailbox::NonRealTime, Outcome::Withdrawn, at(50_001));
+    assert_eq!(half.poll(at(50_000)), Step::Command(Command::Withdraw(Mailbox::NonRealTime)));
+    half.on_input(Input::Outcome(Mailbox::NonRealTime, Outcome::Withdrawn), at(50_001));
     let exception = half.take_exception().unwrap();
     assert_eq!((exception.subject, exception.kind), (Some(TEXT.subject()), ExceptionKind::ValidityExpired));
     assert_eq!(half.channel_counters(TEXT.subject()).unwrap().discarded, 1);
+}
+
+/// A frame off the bus reaches a hard real-time channel through its slot only: one of another publisher or
+/// priority is foreign, whatever its etag.
+#[test]
+fn a_frame_outside_the_calendar_is_no_hard_event() {
+    let mut half = node();
+    let subscription = half.subscribe(&hard(1), Filter::ALL, Policy::Latest).unwrap();
+    let etag = Etag::new(101).unwrap();
+    let stranger = TxNode::new(9).unwrap();
+    for (priority, publisher) in
+        [(Priority::HARD, stranger), (Priority::new(9), OTHER), (Priority::LEAST, OTHER)]
+    {
+        let frame = Frame::new(Id::new(priority, publisher, etag), Payload::new(&[0, 1]).unwrap());
+        let input = receive(&frame, at(4_100), half.hard_mut()).expect("no buffer takes it");
+        half.on_input(input, at(4_100));
+    }
+    assert!(half.next(&subscription).is_none());
+    assert_eq!(half.foreign_frames(), 3);
+    let genuine = Frame::new(Id::new(Priority::HARD, OTHER, etag), Payload::new(&[0, 2]).unwrap());
+    assert_eq!(receive(&genuine, at(4_200), half.hard_mut()), None, "its buffer takes it");
+}
+
+#[test]
+fn what_was_lost_below_is_told_and_counted() {
+    let mut half = node();
+    half.on_input(Input::Lost(0), at(1));
+    assert_eq!(half.take_exception(), None);
+    half.on_input(Input::Lost(3), at(2));
+    half.on_input(Input::BusOff, at(3));
+    assert_eq!(half.take_exception().map(|exception| exception.kind), Some(ExceptionKind::InputLost));
+    assert_eq!(half.take_exception().map(|exception| exception.kind), Some(ExceptionKind::BusOff));
+    assert_eq!(half.exceptions(ExceptionKind::InputLost), 3);
 }

@@ -8,7 +8,7 @@ use cosmic_core::protocol::Rank;
 use cosmic_core::services::{NodeConfig, NodeServices};
 use cosmic_core::time::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core::{EventHalf, NodeUid, Step, Subject};
+use cosmic_core::{EventHalf, Input, NodeUid, Step, Subject};
 
 static CALENDAR: Calendar = Calendar::checked(
     Segment {
@@ -34,23 +34,23 @@ fn the_clock_goes_on_when_non_real_time_frames_starve() {
         ..NodeConfig::new(NodeUid::new(1).unwrap())
     };
     let services = NodeServices::<2, 4, 2, 2>::new(&config, &CALENDAR, (), Instant::EPOCH).unwrap();
-    let mut hard = HrtBuffers::<2>::new(GlobalClock::unsynchronised());
-    let mut half = EventHalf::<2, 2, 2, 4, 4, 4, _>::new(config.tx_node, &CALENDAR, services);
-    let bulk = half.announce(&BULK, &mut hard).unwrap();
+    let hard = HrtBuffers::new(GlobalClock::unsynchronised());
+    let mut half = EventHalf::<2, 2, 2, 4, 4, 4, _>::new(config.tx_node, &CALENDAR, services, hard);
+    let bulk = half.announce(&BULK).unwrap();
     let (mut sent, mut stuck) = (Vec::new(), 0);
     for millisecond in 0..3_000 {
         let now = Instant::from_epoch(Duration::from_millis(millisecond));
         // Until then it claims its id.
         let starved = millisecond >= 500;
         if starved {
-            let published = half.publish(now, &bulk, &Event::new(1), &mut hard);
+            let published = half.publish(now, &bulk, &Event::new(1));
             stuck += u32::from(published == Err(PublishError::QueueFull));
         }
-        while let Step::Command(command) = half.poll(now, &mut hard) {
+        while let Step::Command(command) = half.poll(now) {
             let Command::Load(mailbox, frame) = command else { continue };
             if mailbox == Mailbox::Soft || !starved {
                 sent.push(frame.id.etag());
-                half.on_outcome(mailbox, Outcome::Sent, now + Duration::from_micros(150));
+                half.on_input(Input::Outcome(mailbox, Outcome::Sent), now + Duration::from_micros(150));
             }
         }
     }

@@ -4,7 +4,7 @@
 
 use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
 use cosmic_core::calendar::{Calendar, Segment, Slot};
-use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Priority, TxNode};
+use cosmic_core::can::{BitRate, Command, ErrorCounters, Etag, Frame, Id, Mailbox, Outcome, Priority, TxNode};
 use cosmic_core::event_layer::{
     Channel, Depth, Event, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy, Publication,
     SoftAttributes, Subscription,
@@ -14,7 +14,7 @@ use cosmic_core::protocol::Rank;
 use cosmic_core::services::{NodeConfig, NodeServices};
 use cosmic_core::time::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core::{EventHalf, Step as HalfStep};
+use cosmic_core::event_half::{self, EventHalf, Input, Step as HalfStep, receive};
 use cosmic_core_fuzz::{Script, Step, drain, subject, tx_node, uid};
 use libfuzzer_sys::fuzz_target;
 
@@ -67,7 +67,6 @@ fn channel(of: u8) -> Channel<u32> {
 
 struct Node {
     half: Half,
-    hard: HrtBuffers<4>,
     dispatcher: Dispatcher<4>,
     /// What is in each mailbox, if anything: a frame, which is to be withdrawn or not.
     mailboxes: [Option<bool>; 3],
@@ -86,8 +85,7 @@ impl Node {
             .then(|| Broker::new(uid(first), BrokerTiming::DEFAULT, Nodes::new(), Subjects::new()));
         let services = Services::new(&config, &CALENDAR, broker, Instant::EPOCH).unwrap();
         Self {
-            half: EventHalf::new(config.tx_node, &CALENDAR, services),
-            hard: HrtBuffers::new(GlobalClock::unsynchronised()),
+            half: EventHalf::new(config.tx_node, &CALENDAR, services, HrtBuffers::new(GlobalClock::unsynchronised())),
             dispatcher: Dispatcher::new(&CALENDAR),
             mailboxes: [const { None }; 3],
             publications: Vec::new(),
@@ -96,8 +94,8 @@ impl Node {
     }
 
     fn on_frame(&mut self, frame: &Frame, now: Instant) {
-        if !self.hard.on_frame(frame, now) {
-            self.half.on_frame(frame, now);
+        if let Some(input) = receive(frame, now, self.half.hard_mut()) {
+            self.half.on_input(input, now);
         }
     }
 
@@ -122,13 +120,8 @@ impl Node {
         let mailbox = Mailbox::ALL[usize::from(of) % 3];
         let Some(withdrawn) = self.mailboxes[mailbox as usize].take() else { return };
         let outcome = if withdrawn && of & 0x80 != 0 { Outcome::Withdrawn } else { Outcome::Sent };
-        match mailbox {
-            Mailbox::Hard => {
-                if let Some(buffer) = self.hard.on_outcome(outcome, now) {
-                    self.half.on_notify(buffer, now, &mut self.hard);
-                }
-            }
-            mailbox => self.half.on_outcome(mailbox, outcome, now),
+        if let Some(input) = event_half::outcome(mailbox, outcome, now, self.half.hard_mut()) {
+            self.half.on_input(input, now);
         }
     }
 
@@ -140,34 +133,35 @@ impl Node {
         ][usize::from(of) % 3];
         match number {
             0..=19 => self.finish(of, now),
-            20..=24 => self.publications.extend(self.half.announce(&channel(of), &mut self.hard)),
+            20..=24 => self.publications.extend(self.half.announce(&channel(of))),
             25..=29 => {
-                let subscribed = self.half.subscribe(&channel(of), Filter::ALL, fifo, &mut self.hard);
+                let subscribed = self.half.subscribe(&channel(of), Filter::ALL, fifo);
                 self.subscriptions.extend(subscribed);
             }
             30..=39 => {
                 let count = self.publications.len().max(1);
                 if let Some(publication) = self.publications.get(usize::from(of) % count) {
                     let event = Event::new(u32::from(of));
-                    if let Ok(Some(command)) = self.half.publish(now, publication, &event, &mut self.hard) {
-                        self.execute(command);
+                    if let Ok(commands) = self.half.publish(now, publication, &event) {
+                        commands.into_iter().for_each(|command| self.execute(command));
                     }
                 }
             }
             40 => {
                 if let Some(publication) = self.publications.pop() {
-                    let commands = self.half.cancel_publication(publication, &mut self.hard);
-                    commands.into_iter().flatten().for_each(|command| self.execute(command));
+                    let commands = self.half.cancel_publication(publication);
+                    commands.into_iter().for_each(|command| self.execute(command));
                 }
             }
             41 => {
                 if let Some(subscription) = self.subscriptions.pop() {
-                    self.half.cancel_subscription(subscription, &mut self.hard);
+                    self.half.cancel_subscription(subscription);
                 }
             }
-            42 => self.half.on_bus_off(now),
+            42 => self.half.on_input(Input::BusOff, now),
+            44 => self.half.on_input(Input::Lost(of.into()), now),
             43 => self.half.services_mut().release(),
-            _ => self.half.set_error_counters(of, of),
+            _ => self.half.on_input(Input::Errors(ErrorCounters { transmit: of, receive: of }), now),
         }
     }
 
@@ -184,9 +178,9 @@ impl Node {
     }
 
     fn dispatch(&mut self, now: Instant) -> Option<()> {
-        match self.dispatcher.poll(now, &mut self.hard) {
+        match self.dispatcher.poll(now, self.half.hard_mut()) {
             hard::Step::Command(command) => self.execute(command),
-            hard::Step::Notify(buffer) => self.half.on_notify(buffer, now, &mut self.hard),
+            hard::Step::Notify(buffer) => self.half.on_input(Input::Notice(buffer), now),
             hard::Step::Continue => {}
             hard::Step::SleepUntil(at) => {
                 assert!(at > now, "the dispatcher wakes at {at:?}, which is not behind {now:?}");
@@ -197,7 +191,7 @@ impl Node {
     }
 
     fn poll_half(&mut self, now: Instant) -> Option<()> {
-        match self.half.poll(now, &mut self.hard) {
+        match self.half.poll(now) {
             HalfStep::Command(command) => self.execute(command),
             HalfStep::SleepUntil(at) => {
                 assert!(at > now, "the node wakes at {at:?}, which is not behind {now:?}");

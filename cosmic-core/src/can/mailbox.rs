@@ -45,3 +45,18 @@ pub enum Outcome {
     /// It was withdrawn before it was sent, or failed after a withdrawal was requested.
     Withdrawn,
 }
+
+/// The error counters of a controller (ISO 11898-1, fault confinement).
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ErrorCounters {
+    /// Transmit error counter (TEC).
+    pub transmit: u8,
+    /// Receive error counter (REC).
+    pub receive: u8,
+}
+
+impl ErrorCounters {
+    /// No errors lately.
+    pub const NONE: Self = Self { transmit: 0, receive: 0 };
+}

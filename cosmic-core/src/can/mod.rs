@@ -11,5 +11,5 @@ mod timing;
 
 pub use frame::{Frame, Payload};
 pub use id::{Etag, Id, Priority, TxNode};
-pub use mailbox::{Command, Mailbox, Outcome};
+pub use mailbox::{Command, ErrorCounters, Mailbox, Outcome};
 pub use timing::{BitRate, ERROR_RECOVERY_BITS, LONGEST_FRAME_BITS, longest_frame_bits};

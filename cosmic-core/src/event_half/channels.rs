@@ -1,6 +1,6 @@
 //! What the application calls: announce, publish, subscribe, and what it fetches.
 
-use super::{EventHalf, HardAccess, PUBLISHES, SUBSCRIBES};
+use super::{Commands, EventHalf, HardAccess, PUBLISHES, SUBSCRIBES};
 use crate::calendar::Slot;
 use crate::can::{Command, Frame, Id, Payload, Priority};
 use crate::event_layer::{
@@ -9,7 +9,7 @@ use crate::event_layer::{
     SubscribeError, Subscription, encode,
 };
 use crate::network::fragments::Message;
-use crate::network::hard::{Attach, AttachError, BufferId, Role};
+use crate::network::hard::{Attach, AttachError, BufferId, HrtBuffers, Role};
 use crate::network::soft::{self, Outgoing, Tag};
 use crate::services::{Declaration, Services, TooMany};
 use crate::time::Instant;
@@ -23,20 +23,17 @@ impl<
     const SOFT: usize,
     const NRT: usize,
     S: Services,
-> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S>
+    H: HardAccess<HrtBuffers<SLOTS>>,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
 {
     /// Announces a channel, on which this node may publish from now on. A hard real-time channel must
     /// stand in the calendar. O(CHANNELS + slots of the calendar · SLOTS).
     ///
     /// # Errors
     /// [`AnnounceError`]; nothing has changed then.
-    pub fn announce<C: Content>(
-        &mut self,
-        channel: &Channel<C>,
-        hard: &mut impl HardAccess<SLOTS>,
-    ) -> Result<Publication<C>, AnnounceError> {
+    pub fn announce<C: Content>(&mut self, channel: &Channel<C>) -> Result<Publication<C>, AnnounceError> {
         let publication = self.layer.announce(channel)?;
-        match self.attach(&channel.declared(), PUBLISHES, hard) {
+        match self.attach(&channel.declared(), PUBLISHES) {
             Ok(buffer) => {
                 self.layer.set_buffer(&publication, buffer);
             }
@@ -47,7 +44,7 @@ impl<
         }
         if let Err(error) = self.declare(&channel.declared()) {
             // Nothing has been published, so there is nothing to withdraw.
-            let _ = self.cancel_publication(publication, hard);
+            let _ = self.cancel_publication(publication);
             return Err(error);
         }
         Ok(publication)
@@ -62,14 +59,13 @@ impl<
         channel: &Channel<C>,
         filter: Filter,
         policy: Policy,
-        hard: &mut impl HardAccess<SLOTS>,
     ) -> Result<Subscription<C>, SubscribeError> {
         let subscription = self.layer.subscribe(channel, filter, policy)?;
-        let joined = self.attach(&channel.declared(), SUBSCRIBES, hard);
+        let joined = self.attach(&channel.declared(), SUBSCRIBES);
         match joined.and_then(|_| self.declare(&channel.declared())) {
             Ok(()) => Ok(subscription),
             Err(error) => {
-                self.cancel_subscription(subscription, hard);
+                self.cancel_subscription(subscription);
                 Err(SubscribeError::Channel(error))
             }
         }
@@ -77,39 +73,31 @@ impl<
 
     /// Gives up an announcement. When it was the last one of the channel, events that wait to be sent are
     /// discarded; the commands do so in the mailboxes.
-    pub fn cancel_publication<C>(
-        &mut self,
-        publication: Publication<C>,
-        hard: &mut impl HardAccess<SLOTS>,
-    ) -> [Option<Command>; 2] {
+    pub fn cancel_publication<C>(&mut self, publication: Publication<C>) -> Commands<2> {
         let declared = self.layer.declared(publication.tag());
-        let Some(buffer) = self.layer.cancel_publication(&publication) else { return [None, None] };
-        detach(buffer, PUBLISHES, hard);
+        let Some(buffer) = self.layer.cancel_publication(&publication) else { return Commands::NONE };
+        self.detach(buffer, PUBLISHES);
         if let Some(declared) = declared {
             // Giving up takes no room.
             let _ = self.declare(&declared);
         }
-        self.etch.recall(|outgoing| outgoing.tag == publication.tag())
+        Commands(self.etch.recall(|outgoing| outgoing.tag == publication.tag()))
     }
 
     /// Gives up a subscription, with the events that wait for it.
-    pub fn cancel_subscription<C>(
-        &mut self,
-        subscription: Subscription<C>,
-        hard: &mut impl HardAccess<SLOTS>,
-    ) {
+    pub fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) {
         let Some(declared) = self.layer.cancel_subscription(subscription) else { return };
         let _ = self.declare(&declared);
         let Some(etag) = declared.etag.filter(|etag| etag.is_hard()) else { return };
         for slot in self.calendar.slots().iter().filter(|slot| slot.etag == etag) {
-            let buffer = hard.with(|buffers| buffers.find(etag, slot.publisher));
-            detach(buffer, SUBSCRIBES, hard);
+            let buffer = self.hard.with(|buffers| buffers.find(etag, slot.publisher));
+            self.detach(buffer, SUBSCRIBES);
         }
     }
 
     /// Publishes an event. Local subscribers get it too: a hard real-time event at its delivery instant,
     /// any other at once. O(1) on an idle node, O(log SOFT) or O(log NRT) otherwise, and as
-    /// [`on_frame`](Self::on_frame) for local subscribers.
+    /// [`on_input`](Self::on_input) for local subscribers.
     ///
     /// # Errors
     /// [`PublishError`]; the event is not sent.
@@ -119,13 +107,12 @@ impl<
         now: Instant,
         publication: &Publication<C>,
         event: &Event<C>,
-        hard: &mut impl HardAccess<SLOTS>,
-    ) -> Result<Option<Command>, PublishError> {
+    ) -> Result<Commands<1>, PublishError> {
         let (payload, quality) = (encode(&event.content), Quality::of(event));
         if quality.is_plain() {
-            self.submit::<true>(now, publication.tag(), payload, &quality, hard)
+            self.submit::<true>(now, publication.tag(), payload, &quality)
         } else {
-            self.submit::<false>(now, publication.tag(), payload, &quality, hard)
+            self.submit::<false>(now, publication.tag(), payload, &quality)
         }
     }
 
@@ -138,15 +125,14 @@ impl<
         tag: Tag,
         payload: Payload,
         quality: &Quality,
-        hard: &mut impl HardAccess<SLOTS>,
-    ) -> Result<Option<Command>, PublishError> {
+    ) -> Result<Commands<1>, PublishError> {
         let quality = if PLAIN { &Quality::PLAIN } else { quality };
         match self.layer.publish(now, tag, payload, quality)? {
             Published::Hard(buffer, payload) => {
-                if hard.with(|buffers| buffers.publish(buffer, payload)) {
+                if self.hard.with(|buffers| buffers.publish(buffer, payload)) {
                     self.raise_replaced(tag, now);
                 }
-                Ok(None)
+                Ok(Commands::NONE)
             }
             Published::Soft(outgoing) => {
                 let submitted = self.etch.submit_soft(now, outgoing);
@@ -166,7 +152,7 @@ impl<
         now: Instant,
         outgoing: Outgoing,
         submitted: Result<Option<Command>, soft::Full>,
-    ) -> Result<Option<Command>, PublishError> {
+    ) -> Result<Commands<1>, PublishError> {
         let Ok(command) = submitted else {
             self.raise(self.layer.subject(outgoing.tag), ExceptionKind::TransmitQueueFull, now);
             return Err(PublishError::QueueFull);
@@ -174,7 +160,7 @@ impl<
         if self.layer.is_subscribed(outgoing.tag) {
             self.deliver_locally(outgoing, now);
         }
-        Ok(command)
+        Ok(Commands([command]))
     }
 
     /// Fetches the next event of a subscription. Content that is no value of the channel's type is passed
@@ -205,7 +191,8 @@ impl<
     }
 
     /// Sends the next frame of a message, if the one before it has left the node and there is room. Call it
-    /// after [`MessagePublisher::start`], and whenever [`on_outcome`](Self::on_outcome) was called.
+    /// after [`MessagePublisher::start`], and whenever an [`Outcome`](super::Input::Outcome)
+    /// was handed in.
     ///
     /// # Errors
     /// As [`publish`](Self::publish); the message is given up.
@@ -213,15 +200,14 @@ impl<
         &mut self,
         now: Instant,
         publisher: &mut MessagePublisher<LEN>,
-        hard: &mut impl HardAccess<SLOTS>,
-    ) -> Result<Option<Command>, PublishError> {
+    ) -> Result<Commands<1>, PublishError> {
         let counters = self.layer.counters_of(publisher.publication().tag());
         publisher.note_departures(counters.sent, counters.discarded);
         if !self.etch.has_room_for_non_real_time() {
-            return Ok(None);
+            return Ok(Commands::NONE);
         }
-        let Some(fragment) = publisher.next() else { return Ok(None) };
-        let published = self.publish(now, publisher.publication(), &Event::new(fragment), hard);
+        let Some(fragment) = publisher.next() else { return Ok(Commands::NONE) };
+        let published = self.publish(now, publisher.publication(), &Event::new(fragment));
         published.inspect_err(|_| publisher.give_up())
     }
 
@@ -242,12 +228,7 @@ impl<
     }
 
     /// Takes part in the slots of a hard real-time channel; nothing for the others.
-    fn attach(
-        &mut self,
-        declared: &Declared,
-        role: Role,
-        hard: &mut impl HardAccess<SLOTS>,
-    ) -> Result<Option<BufferId>, AnnounceError> {
+    fn attach(&mut self, declared: &Declared, role: Role) -> Result<Option<BufferId>, AnnounceError> {
         let Attributes::Hard(attributes) = declared.attributes else { return Ok(None) };
         if role.publishes && self.own.get().is_none() {
             return Err(AnnounceError::NoTxNode);
@@ -263,10 +244,16 @@ impl<
         let mut buffer = None;
         for slot in self.calendar.slots().iter().filter(fits) {
             let request = Attach { calendar: self.calendar, slot, role };
-            let attached = hard.with(|buffers| buffers.attach(&request));
+            let attached = self.hard.with(|buffers| buffers.attach(&request));
             buffer = Some(attached.map_err(|AttachError::Full| AnnounceError::TooManySlots)?);
         }
         buffer.map(Some).ok_or(AnnounceError::NotInCalendar)
+    }
+
+    fn detach(&mut self, buffer: Option<BufferId>, role: Role) {
+        if let Some(buffer) = buffer {
+            self.hard.with(|buffers| buffers.detach(buffer, role));
+        }
     }
 
     /// Tells the services what the node does on a channel now.
@@ -306,11 +293,5 @@ impl<
     fn raise_malformed<C>(&mut self, subscription: &Subscription<C>, received_at: Instant) {
         let subject = self.layer.note_malformed(subscription);
         self.raise(subject, ExceptionKind::Malformed, received_at);
-    }
-}
-
-fn detach<const SLOTS: usize>(buffer: Option<BufferId>, role: Role, hard: &mut impl HardAccess<SLOTS>) {
-    if let Some(buffer) = buffer {
-        hard.with(|buffers| buffers.detach(buffer, role));
     }
 }

@@ -1,9 +1,9 @@
 //! What the driver and the dispatcher call: frames, outcomes, notices, and what is to be done next.
 
-use super::{EventHalf, HardAccess, Own, SERVICES, Step};
+use super::{EventHalf, HardAccess, Input, Own, SERVICES, Step};
 use crate::can::{Command, Frame, Mailbox, Outcome};
 use crate::event_layer::{Exception, ExceptionKind, Received};
-use crate::network::hard::{BufferId, Counters};
+use crate::network::hard::{BufferId, Counters, HrtBuffers};
 use crate::network::soft::{self, Outgoing};
 use crate::services::{NodeView, Request, Services};
 use crate::time::Instant;
@@ -17,13 +17,32 @@ impl<
     const SOFT: usize,
     const NRT: usize,
     S: Services,
-> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S>
+    H: HardAccess<HrtBuffers<SLOTS>>,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
 {
-    /// A frame has arrived, that is not hard real-time. One map look-up, then O(1) for each subscriber of
-    /// its channel, or O(EVENTS) for one who wants the earliest deadline first.
-    // In the receive task, where it is called once.
+    /// Takes in what has happened since the last call, at this instant.
+    ///
+    /// | input | work |
+    /// |---|---|
+    /// | [`Frame`](Input::Frame) | one map look-up, then O(1) for each subscriber of its channel, or O(EVENTS) for one who wants the earliest deadline first |
+    /// | [`Outcome`](Input::Outcome) | O(log SOFT) or O(log NRT) |
+    /// | the others | O(1), and as a frame for an event that has become visible |
+    // In the task of the event half, where it is called once.
     #[inline(always)]
-    pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+    pub fn on_input(&mut self, input: Input, at: Instant) {
+        match input {
+            Input::Frame(frame) => self.on_frame(&frame, at),
+            Input::Outcome(mailbox, outcome) => self.on_outcome(mailbox, outcome, at),
+            Input::Notice(buffer) => self.on_notice(buffer, at),
+            Input::Lost(times) => self.raise_times(None, ExceptionKind::InputLost, times, at),
+            Input::BusOff => self.raise(None, ExceptionKind::BusOff, at),
+            Input::Errors(errors) => self.view.errors = errors,
+        }
+    }
+
+    /// A frame has arrived that no HRT message buffer has taken.
+    #[inline(always)]
+    fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         match self.layer.receive(frame, received_at) {
             Received::Delivered => {}
             Received::Foreign => return self.reject(frame, received_at),
@@ -35,8 +54,8 @@ impl<
         }
     }
 
-    /// A frame has left the soft or non real-time mailbox. O(log SOFT) or O(log NRT).
-    pub fn on_outcome(&mut self, mailbox: Mailbox, outcome: Outcome, at: Instant) {
+    /// A frame has left the soft or non real-time mailbox.
+    fn on_outcome(&mut self, mailbox: Mailbox, outcome: Outcome, at: Instant) {
         let departure = self.etch.on_outcome(mailbox, outcome, at);
         match departure.sent {
             Some(sent) if sent.tag == SERVICES => self.services.on_sent(&sent.frame, at),
@@ -48,12 +67,12 @@ impl<
         }
     }
 
-    /// The dispatcher has said that something happened to an HRT message buffer.
-    pub fn on_notify(&mut self, buffer: BufferId, now: Instant, hard: &mut impl HardAccess<SLOTS>) {
-        let (delivery, counters) = hard.with(|buffers| (buffers.take(buffer), buffers.counters(buffer)));
+    /// Something has happened to an HRT message buffer.
+    fn on_notice(&mut self, buffer: BufferId, now: Instant) {
+        let (delivery, counters) = self.hard.with(|buffers| (buffers.take(buffer), buffers.counters(buffer)));
         if let Some(delivery) = delivery {
             let frame = delivery.frame();
-            if let Received::Undelivered = self.layer.receive(&frame, now) {
+            if let Received::Undelivered = self.layer.receive_hard(&frame, now) {
                 self.deliver(&frame, now);
             }
         }
@@ -62,7 +81,7 @@ impl<
         let before = core::mem::replace(seen, counters);
         let mut pairs = before.exceptional().into_iter().zip(counters.exceptional());
         if pairs.any(|(before, after)| before != after) {
-            let (mismatch, etag) = hard.with(|buffers| (buffers.is_inhibited(), buffers.etag(buffer)));
+            let (mismatch, etag) = self.hard.with(|buffers| (buffers.is_inhibited(), buffers.etag(buffer)));
             let subject = etag.and_then(|etag| self.layer.subject_of(etag));
             self.raise_hard(subject, (&before, &counters), mismatch, now);
         }
@@ -95,10 +114,10 @@ impl<
     }
 
     /// What is to be done now; at most one command a call. O(SOFT + NRT), and what the services need.
-    pub fn poll(&mut self, now: Instant, hard: &mut impl HardAccess<SLOTS>) -> Step {
+    pub fn poll(&mut self, now: Instant) -> Step {
         loop {
             while let Some(request) = self.next_request(now) {
-                if let Some(command) = self.carry_out(request, now, hard) {
+                if let Some(command) = self.carry_out(request, now) {
                     return Step::Command(command);
                 }
             }
@@ -117,27 +136,26 @@ impl<
     /// full, because more urgent events of others fill the bus, the clock must go on.
     fn next_request(&mut self, now: Instant) -> Option<Request> {
         let view = NodeView { exceptions: self.exceptions.total(), ..self.view };
-        match () {
-            () if self.etch.has_room_for_services() => self.services.poll(now, &view),
-            () if self.etch.has_room_for_urgent() => self.services.poll_urgent(now, &view),
-            () => None,
+        if self.etch.has_room_for_services() {
+            self.services.poll(now, &view)
+        } else if self.etch.has_room_for_urgent() {
+            self.services.poll_urgent(now, &view)
+        } else {
+            None
         }
     }
 
     fn services_wakeup(&self) -> Instant {
-        match () {
-            () if self.etch.has_room_for_services() => self.services.next_wakeup(),
-            () if self.etch.has_room_for_urgent() => self.services.next_urgent_wakeup(),
-            () => Instant::FAR_FUTURE,
+        if self.etch.has_room_for_services() {
+            self.services.next_wakeup()
+        } else if self.etch.has_room_for_urgent() {
+            self.services.next_urgent_wakeup()
+        } else {
+            Instant::FAR_FUTURE
         }
     }
 
-    fn carry_out(
-        &mut self,
-        request: Request,
-        now: Instant,
-        hard: &mut impl HardAccess<SLOTS>,
-    ) -> Option<Command> {
+    fn carry_out(&mut self, request: Request, now: Instant) -> Option<Command> {
         let submitted = match request {
             Request::SendUrgent(frame, expires_at) => {
                 self.etch.submit_urgent(now, SERVICES, frame, expires_at)
@@ -153,11 +171,11 @@ impl<
                 Ok(command)
             }
             Request::Clock(clock) => {
-                hard.with(|buffers| buffers.set_clock(clock));
+                self.hard.with(|buffers| buffers.set_clock(clock));
                 Ok(None)
             }
             Request::Inhibit(inhibited) => {
-                hard.with(|buffers| buffers.inhibit(inhibited));
+                self.hard.with(|buffers| buffers.inhibit(inhibited));
                 if inhibited {
                     self.raise(None, ExceptionKind::CalendarMismatch, now);
                 }
@@ -176,7 +194,7 @@ impl<
                 if self.layer.bind(subject, etag).is_err() {
                     self.raise(Some(subject), ExceptionKind::BindingRefused, now);
                 }
-                let named = self.layer.look_up(etag).map(|route| self.etch.rename(route.tag, etag));
+                let named = self.layer.route_of(etag).map(|route| self.etch.rename(route.tag, etag));
                 Ok(named.flatten())
             }
             Request::Unbound(subject) => {
@@ -198,11 +216,6 @@ impl<
         })
     }
 
-    /// The controller has left the bus.
-    pub fn on_bus_off(&mut self, now: Instant) {
-        self.raise(None, ExceptionKind::BusOff, now);
-    }
-
     #[inline]
     fn is_mine(&self, frame: &Frame) -> bool {
         self.own.is(frame.id.tx_node())
@@ -221,7 +234,7 @@ impl<
     /// registers.
     #[inline(never)]
     fn deliver(&mut self, frame: &Frame, received_at: Instant) {
-        if let Some(route) = self.layer.look_up(frame.id.etag()) {
+        if let Some(route) = self.layer.route_of(frame.id.etag()) {
             let accepted = self.layer.deliver(route.tag, frame, received_at);
             self.note(accepted, received_at);
         }

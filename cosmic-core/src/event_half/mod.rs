@@ -9,21 +9,28 @@
 //! * from the application: [`announce`](EventHalf::announce), [`publish`](EventHalf::publish),
 //!   [`subscribe`](EventHalf::subscribe), [`next`](EventHalf::next) or
 //!   [`poll_next`](EventHalf::poll_next), [`take_exception`](EventHalf::take_exception);
-//! * from the driver: [`on_frame`](EventHalf::on_frame) for every received frame that is not hard real-time,
-//!   [`on_outcome`](EventHalf::on_outcome) for every frame that has left the soft or non real-time mailbox;
-//! * from the dispatcher's task: [`on_notify`](EventHalf::on_notify);
+//! * from the driver and the dispatcher's task: [`on_input`](EventHalf::on_input), with what [`receive`]
+//!   makes of a received frame, [`outcome`] of a frame that has left its mailbox, and with the
+//!   [notices](Input::Notice) of the dispatcher;
 //! * after any of them, and at the instant named last: [`poll`](EventHalf::poll), until it says
 //!   [`Step::SleepUntil`].
 //!
-//! A method that returns a [`Command`] wants it carried out by the driver before the next call.
+//! A method that returns [`Commands`] wants them carried out by the driver before the next call.
+//!
+//! Every host (firmware, simulation, a test) does the same three things: it hands in [`Input`]s, carries out
+//! commands, and polls again at an instant. Who gets a frame is decided here, not by the host.
 
+mod capacity;
 mod channels;
 mod drive;
+mod input;
 
 pub use crate::event_layer::Delivered;
+pub use capacity::{Capacity, Half, Sizes};
+pub use input::{Input, outcome, receive};
 
 use crate::calendar::Calendar;
-use crate::can::{Command, TxNode};
+use crate::can::{Command, ErrorCounters, TxNode};
 use crate::event_layer::{Accepted, ChannelCounters, EventLayer, Exception, ExceptionKind, Exceptions};
 use crate::network::hard::{Counters, HrtBuffers, Role};
 use crate::network::soft::{self, Etch, EtchCounters, PriorityMap, Tag};
@@ -34,16 +41,45 @@ use core::task::{Poll, Waker};
 
 /// Access to the HRT message buffers, which the two halves share.
 ///
-/// The buffers themselves implement it, for a program in which nothing runs concurrently. In firmware, an
-/// implementation locks them for the time of the call, which copies at most one event.
-pub trait HardAccess<const SLOTS: usize> {
+/// The [`EventHalf`] owns one, and its interrupts and the calendar task have one each. The buffers themselves
+/// implement it, for a program in which nothing runs concurrently: then the half owns them, and the dispatcher
+/// reaches them by [`EventHalf::hard_mut`]. In firmware, an implementation locks them for the time of the
+/// call, which copies at most one event.
+pub trait HardAccess<B> {
     /// Calls `access` with the buffers.
-    fn with<R>(&mut self, access: impl FnOnce(&mut HrtBuffers<SLOTS>) -> R) -> R;
+    fn with<R>(&mut self, access: impl FnOnce(&mut B) -> R) -> R;
 }
 
-impl<const SLOTS: usize> HardAccess<SLOTS> for HrtBuffers<SLOTS> {
-    fn with<R>(&mut self, access: impl FnOnce(&mut HrtBuffers<SLOTS>) -> R) -> R {
+impl<const SLOTS: usize> HardAccess<Self> for HrtBuffers<SLOTS> {
+    #[inline]
+    fn with<R>(&mut self, access: impl FnOnce(&mut Self) -> R) -> R {
         access(self)
+    }
+}
+
+/// What the driver must carry out, in this order and before the next call: at most `N` commands.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[must_use = "commands that are not carried out leave the mailboxes in a state that the core does not expect"]
+pub struct Commands<const N: usize>([Option<Command>; N]);
+
+impl<const N: usize> Commands<N> {
+    /// Nothing is to be done.
+    pub const NONE: Self = Self([None; N]);
+
+    /// Returns whether nothing is to be done.
+    pub fn is_empty(&self) -> bool {
+        self.0.iter().all(Option::is_none)
+    }
+}
+
+impl<const N: usize> IntoIterator for Commands<N> {
+    type Item = Command;
+    type IntoIter = core::iter::Flatten<core::array::IntoIter<Option<Command>, N>>;
+
+    #[inline]
+    fn into_iter(self) -> Self::IntoIter {
+        self.0.into_iter().flatten()
     }
 }
 
@@ -76,7 +112,8 @@ const EXCEPTIONS: usize = 16;
 /// | `EVENTS` | received events that wait, in all queues together |
 /// | `SOFT`, `NRT` | events that wait to be sent |
 ///
-/// `S` are the [services](crate::services) that it takes part in.
+/// `S` are the [services](crate::services) that it takes part in, `H` is its [access](HardAccess) to the HRT
+/// message buffers.
 #[derive(Debug)]
 // In this order for the reason that the event layer is in its order.
 #[repr(C)]
@@ -88,6 +125,7 @@ pub struct EventHalf<
     const SOFT: usize,
     const NRT: usize,
     S = (),
+    H = HrtBuffers<SLOTS>,
 > {
     calendar: &'static Calendar,
     own: Own,
@@ -101,6 +139,7 @@ pub struct EventHalf<
     exception_waker: Option<Waker>,
     services: S,
     view: NodeView,
+    hard: H,
 }
 
 impl<
@@ -111,11 +150,12 @@ impl<
     const SOFT: usize,
     const NRT: usize,
     S: Services,
-> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S>
+    H: HardAccess<HrtBuffers<SLOTS>>,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
 {
     /// A node in a segment with this calendar. Without a TxNode it publishes nothing; a service may give
     /// it one. Δt_p is one longest frame.
-    pub const fn new(tx_node: Option<TxNode>, calendar: &'static Calendar, services: S) -> Self {
+    pub const fn new(tx_node: Option<TxNode>, calendar: &'static Calendar, services: S, hard: H) -> Self {
         let map = PriorityMap::of(calendar.segment().bit_rate);
         Self {
             calendar,
@@ -127,7 +167,8 @@ impl<
             exception_waker: None,
             foreign: 0,
             services,
-            view: NodeView { exceptions: 0, transmit_errors: 0, receive_errors: 0 },
+            view: NodeView { exceptions: 0, errors: ErrorCounters::NONE },
+            hard,
         }
     }
 
@@ -139,6 +180,16 @@ impl<
     /// As [`services`](Self::services), to ask for something. Then [`poll`](Self::poll).
     pub const fn services_mut(&mut self) -> &mut S {
         &mut self.services
+    }
+
+    /// Its access to the HRT message buffers.
+    pub const fn hard(&self) -> &H {
+        &self.hard
+    }
+
+    /// As [`hard`](Self::hard), for the dispatcher of a program in which nothing runs concurrently.
+    pub const fn hard_mut(&mut self) -> &mut H {
+        &mut self.hard
     }
 
     /// Fetches the oldest exception.
@@ -188,11 +239,6 @@ impl<
         self.foreign
     }
 
-    /// The controller's error counters (TEC and REC), for the status that the node tells.
-    pub fn set_error_counters(&mut self, transmit_errors: u8, receive_errors: u8) {
-        self.view = NodeView { transmit_errors, receive_errors, ..self.view };
-    }
-
     #[inline]
     fn note(&mut self, accepted: Accepted, now: Instant) {
         match accepted {
@@ -219,7 +265,11 @@ impl<
     }
 
     fn raise(&mut self, subject: Option<Subject>, kind: ExceptionKind, at: Instant) {
-        self.exceptions.raise_times(Exception { subject, kind, at }, 1);
+        self.raise_times(subject, kind, 1, at);
+    }
+
+    fn raise_times(&mut self, subject: Option<Subject>, kind: ExceptionKind, times: u32, at: Instant) {
+        self.exceptions.raise_times(Exception { subject, kind, at }, times);
         self.wake_exception_handler();
     }
 

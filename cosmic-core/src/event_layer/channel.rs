@@ -82,6 +82,8 @@ impl<C: Content> Channel<C> {
     /// The channel with a fixed etag, for a cluster that has no broker.
     pub const fn with_etag(self, etag: Etag) -> Self {
         assert!(!etag.is_reserved(), "etags 0..=99 are the protocol's own");
+        let is_hard = matches!(self.declared.attributes, Attributes::Hard(_));
+        assert!(is_hard == etag.is_hard(), "etags 100..=1023 are for hard real-time channels, and only they");
         Self { declared: Declared { etag: Some(etag), ..self.declared }, ..self }
     }
 

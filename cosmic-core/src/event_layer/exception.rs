@@ -55,11 +55,13 @@ pub enum ExceptionKind {
     BusOff,
     /// Publisher: a hard real-time event was replaced by a later one before its slot came.
     EventReplaced,
+    /// Frames, outcomes or notices were lost inside this node, because a queue or a receive FIFO was full.
+    InputLost,
 }
 
 impl ExceptionKind {
     /// How many kinds there are.
-    pub const COUNT: usize = 17;
+    pub const COUNT: usize = 18;
 }
 
 /// Exceptions on their way to the application: the first `N` are kept, all are counted.

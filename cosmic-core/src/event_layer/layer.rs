@@ -204,17 +204,31 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         last
     }
 
-    /// Where a frame with this etag goes, if that is anywhere here. One map look-up.
+    /// Where events with this etag go, if that is anywhere here. One map look-up.
     #[inline]
-    pub(crate) fn look_up(&self, etag: Etag) -> Option<Route> {
-        self.by_etag.get(etag.get().into()).map(Route::decode)
+    pub(crate) fn route_of(&self, etag: Etag) -> Option<Route> {
+        self.by_etag.get(key(etag)).map(Route::decode)
     }
 
     /// A frame has arrived. It is delivered here, if that can be done without a closer look; otherwise
     /// that is left to [`deliver`](Self::deliver). O(1).
+    ///
+    /// A frame with the etag of a hard real-time channel is foreign: events of such channels come out of the
+    /// HRT message buffers at their instant, and in no other way.
     #[inline]
     pub(crate) fn receive(&mut self, frame: &Frame, received_at: Instant) -> Received {
-        let Some(route) = self.look_up(frame.id.etag()) else { return Received::Foreign };
+        self.receive_as(frame.id.etag().get().into(), frame, received_at)
+    }
+
+    /// As [`receive`](Self::receive), for an event that has come out of an HRT message buffer.
+    #[inline]
+    pub(crate) fn receive_hard(&mut self, frame: &Frame, received_at: Instant) -> Received {
+        self.receive_as(key(frame.id.etag()), frame, received_at)
+    }
+
+    #[inline(always)]
+    fn receive_as(&mut self, key: u32, frame: &Frame, received_at: Instant) -> Received {
+        let Some(route) = self.by_etag.get(key).map(Route::decode) else { return Received::Foreign };
         let Some(subscriber) = self.subscribers.get_mut(usize::from(route.only)) else {
             return Received::Undelivered;
         };
@@ -320,7 +334,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let Some(at) = self.find(subject) else { return };
         let former = self.entry_mut(at as u8).and_then(|entry| entry.etag.take());
         if let Some(former) = former {
-            self.by_etag.remove(former.get().into());
+            self.by_etag.remove(key(former));
         }
         self.update(at as u8);
     }
@@ -364,7 +378,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 
     /// The channel that has this etag here.
     pub(crate) fn subject_of(&self, etag: Etag) -> Option<Subject> {
-        self.subject(self.look_up(etag)?.tag)
+        self.subject(self.route_of(etag)?.tag)
     }
 
     /// Marks an event whose content is no value of the channel's type.
@@ -397,7 +411,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         }
         let at = self.channels.iter().position(Option::is_none).ok_or(AnnounceError::TooManyChannels)?;
         if let Some(etag) = declared.etag
-            && self.look_up(etag).is_some()
+            && self.route_of(etag).is_some()
         {
             return Err(AnnounceError::EtagInUse);
         }
@@ -421,15 +435,15 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     }
 
     fn name(&mut self, at: u8, etag: Etag) -> Result<(), AnnounceError> {
-        if self.look_up(etag).is_some_and(|route| route.tag != Tag(at)) {
+        if self.route_of(etag).is_some_and(|route| route.tag != Tag(at)) {
             return Err(AnnounceError::EtagInUse);
         }
         let former = self.entry_mut(at).and_then(|entry| entry.etag);
         if let Some(former) = former {
-            self.by_etag.remove(former.get().into());
+            self.by_etag.remove(key(former));
         }
         let route = Route { tag: Tag(at), only: NONE };
-        self.by_etag.insert(etag.get().into(), route.encode()).map_err(|_| AnnounceError::TooManyChannels)?;
+        self.by_etag.insert(key(etag), route.encode()).map_err(|_| AnnounceError::TooManyChannels)?;
         if let Some(entry) = self.entry_mut(at) {
             entry.etag = Some(etag);
         }
@@ -449,7 +463,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if let Some(etag) = entry.etag {
             // It is there already, so there is a place.
             let route = Route { tag: Tag(at), only };
-            let _ = self.by_etag.insert(etag.get().into(), route.encode());
+            let _ = self.by_etag.insert(key(etag), route.encode());
         }
     }
 
@@ -459,9 +473,17 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if let Some(entry) = place.take_if(unused)
             && let Some(etag) = entry.etag
         {
-            self.by_etag.remove(etag.get().into());
+            self.by_etag.remove(key(etag));
         }
     }
+}
+
+/// Under which key the channel with this etag stands. That of a hard real-time one is no etag, so that a frame
+/// off the bus does not find it, at no cost for the others.
+#[inline]
+const fn key(etag: Etag) -> u32 {
+    const HARD: u32 = 1 << 14;
+    if etag.is_hard() { etag.get() as u32 | HARD } else { etag.get() as u32 }
 }
 
 #[inline]

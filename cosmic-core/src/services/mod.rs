@@ -11,7 +11,7 @@ mod node;
 pub use clock::ClockService;
 pub use node::{Hosted, News, NodeConfig, NodeServices};
 
-use crate::can::{Etag, Frame, TxNode};
+use crate::can::{ErrorCounters, Etag, Frame, TxNode};
 use crate::event_layer::ExceptionKind;
 use crate::protocol::{Class, LayoutHash};
 use crate::time::{GlobalClock, Instant};
@@ -71,10 +71,8 @@ pub struct TooMany;
 pub struct NodeView {
     /// Exceptions so far; wraps.
     pub exceptions: u32,
-    /// The controller's transmit error counter (TEC).
-    pub transmit_errors: u8,
-    /// The controller's receive error counter (REC).
-    pub receive_errors: u8,
+    /// The controller's error counters.
+    pub errors: ErrorCounters,
 }
 
 /// The services that a node takes part in.

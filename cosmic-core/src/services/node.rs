@@ -406,8 +406,8 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         };
         Health {
             state,
-            transmit_errors: view.transmit_errors,
-            receive_errors: view.receive_errors,
+            transmit_errors: view.errors.transmit,
+            receive_errors: view.errors.receive,
             exceptions: view.exceptions as u16,
         }
     }

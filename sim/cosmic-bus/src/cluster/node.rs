@@ -5,8 +5,10 @@ use crate::bus::Bus;
 use crate::event::{EventKind, StationId};
 use crate::frame::WireFrame;
 use crate::time::{FAR_FUTURE, VirtualInstant};
+use cosmic_core::Delivered;
 use cosmic_core::calendar::Calendar;
-use cosmic_core::can::{Command, Frame, Mailbox, Outcome, TxNode};
+use cosmic_core::can::{Command, ErrorCounters, Frame, Mailbox, Outcome, TxNode};
+use cosmic_core::event_half::{EventHalf, Input, Step, outcome, receive};
 use cosmic_core::event_layer::{
     AnnounceError, Channel, Content, Event, Exception, Filter, MessagePublisher, MessageSubscriber, Policy,
     Publication, PublishError, SubscribeError, Subscription,
@@ -15,7 +17,6 @@ use cosmic_core::network::fragments::Message;
 use cosmic_core::network::hard::{self, Dispatcher, HrtBuffers};
 use cosmic_core::services::Services;
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
-use cosmic_core::{Delivered, EventHalf, Step};
 use rand_core::Rng;
 use rand_pcg::Pcg64Mcg;
 
@@ -66,7 +67,6 @@ pub struct Access<'n, S: Services> {
     /// The present local time between the ticks of the timer: for judging, too.
     pub exact_now: Instant,
     half: &'n mut Half<S>,
-    hard: &'n mut HrtBuffers<SLOTS>,
     commands: &'n mut Vec<Command>,
 }
 
@@ -76,7 +76,7 @@ impl<S: Services> Access<'_, S> {
     /// # Errors
     /// As there.
     pub fn announce<C: Content>(&mut self, channel: &Channel<C>) -> Result<Publication<C>, AnnounceError> {
-        self.half.announce(channel, self.hard)
+        self.half.announce(channel)
     }
 
     /// As [`EventHalf::subscribe`].
@@ -89,7 +89,7 @@ impl<S: Services> Access<'_, S> {
         filter: Filter,
         policy: Policy,
     ) -> Result<Subscription<C>, SubscribeError> {
-        self.half.subscribe(channel, filter, policy, self.hard)
+        self.half.subscribe(channel, filter, policy)
     }
 
     /// As [`EventHalf::publish`].
@@ -101,20 +101,20 @@ impl<S: Services> Access<'_, S> {
         publication: &Publication<C>,
         event: &Event<C>,
     ) -> Result<(), PublishError> {
-        let command = self.half.publish(self.now, publication, event, self.hard)?;
-        self.commands.extend(command);
+        let commands = self.half.publish(self.now, publication, event)?;
+        self.commands.extend(commands);
         Ok(())
     }
 
     /// As [`EventHalf::cancel_publication`].
     pub fn cancel_publication<C>(&mut self, publication: Publication<C>) {
-        let commands = self.half.cancel_publication(publication, self.hard);
-        self.commands.extend(commands.into_iter().flatten());
+        let commands = self.half.cancel_publication(publication);
+        self.commands.extend(commands);
     }
 
     /// As [`EventHalf::cancel_subscription`].
     pub fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) {
-        self.half.cancel_subscription(subscription, self.hard);
+        self.half.cancel_subscription(subscription);
     }
 
     /// As [`EventHalf::next`].
@@ -130,8 +130,8 @@ impl<S: Services> Access<'_, S> {
         &mut self,
         publisher: &mut MessagePublisher<LEN>,
     ) -> Result<(), PublishError> {
-        let command = self.half.send_message(self.now, publisher, self.hard)?;
-        self.commands.extend(command);
+        let commands = self.half.send_message(self.now, publisher)?;
+        self.commands.extend(commands);
         Ok(())
     }
 
@@ -156,7 +156,7 @@ impl<S: Services> Access<'_, S> {
 
     /// The HRT message buffers, for their counters.
     pub fn hard(&mut self) -> &mut HrtBuffers<SLOTS> {
-        self.hard
+        self.half.hard_mut()
     }
 }
 
@@ -164,10 +164,11 @@ impl<S: Services> Access<'_, S> {
 struct Running<S: Services> {
     clock: LocalClock,
     dispatcher: Dispatcher<SLOTS>,
-    hard: HrtBuffers<SLOTS>,
     half: Half<S>,
     application: Box<dyn Application<S>>,
     application_wakes_at: Instant,
+    /// What the half was told last.
+    errors: ErrorCounters,
 }
 
 pub(super) struct Node<S: Services> {
@@ -201,13 +202,14 @@ impl<S: Services> Node<S> {
         let clock = LocalClock::new(self.config.clock, now);
         let services = (self.config.services)(clock.read(now));
         let calendar = self.config.calendar;
+        let buffers = HrtBuffers::new(self.config.global_clock);
         self.running = Some(Running {
             clock,
             dispatcher: Dispatcher::new(calendar),
-            hard: HrtBuffers::new(self.config.global_clock),
-            half: EventHalf::new(self.config.tx_node, calendar, services),
+            half: EventHalf::new(self.config.tx_node, calendar, services, buffers),
             application: (self.config.application)(),
             application_wakes_at: Instant::FAR_FUTURE,
+            errors: ErrorCounters::NONE,
         });
         self.with_application(now, |application, access| application.start(access));
         self.run_soft(bus, now);
@@ -241,10 +243,8 @@ impl<S: Services> Node<S> {
                 let Ok(frame) = Frame::try_from(frame) else { return };
                 // Receivers accept one bit before the sender is done; time-stamps are of the end.
                 let stamp = stamp + bus.bit_rate().bit_time();
-                if running.hard.on_frame(&frame, stamp) {
-                    return;
-                }
-                running.half.on_frame(&frame, stamp);
+                let Some(input) = receive(&frame, stamp, running.half.hard_mut()) else { return };
+                running.half.on_input(input, stamp);
                 if !frame.id.etag().is_reserved() {
                     // Nothing else than the queues of the subscribers can have changed.
                     self.notify(now);
@@ -255,23 +255,18 @@ impl<S: Services> Node<S> {
             EventKind::Sent { mailbox } => self.on_outcome(mailbox, Outcome::Sent, stamp),
             EventKind::Withdrawn { mailbox } => self.on_outcome(mailbox, Outcome::Withdrawn, stamp),
             EventKind::ErrorState(state) if state.level() == crate::ErrorLevel::BusOff => {
-                running.half.on_bus_off(stamp);
+                running.half.on_input(Input::BusOff, stamp);
             }
             EventKind::Failed { .. } | EventKind::ErrorState(_) => return,
         }
         self.run_soft(bus, now);
     }
 
-    fn on_outcome(&mut self, mailbox: usize, outcome: Outcome, at: Instant) {
+    fn on_outcome(&mut self, mailbox: usize, what: Outcome, at: Instant) {
         let Some(running) = &mut self.running else { return };
-        match Mailbox::ALL.get(mailbox) {
-            Some(Mailbox::Hard) => {
-                if let Some(buffer) = running.hard.on_outcome(outcome, at) {
-                    running.half.on_notify(buffer, at, &mut running.hard);
-                }
-            }
-            Some(mailbox) => running.half.on_outcome(*mailbox, outcome, at),
-            None => {}
+        let Some(&mailbox) = Mailbox::ALL.get(mailbox) else { return };
+        if let Some(input) = outcome(mailbox, what, at, running.half.hard_mut()) {
+            running.half.on_input(input, at);
         }
     }
 
@@ -280,13 +275,13 @@ impl<S: Services> Node<S> {
         let mut notified = false;
         while let Some(running) = &mut self.running {
             let local = running.clock.read(now);
-            match running.dispatcher.poll(local, &mut running.hard) {
+            match running.dispatcher.poll(local, running.half.hard_mut()) {
                 hard::Step::Command(command) => {
                     self.commands.push(command);
                     self.execute(bus, now);
                 }
                 hard::Step::Notify(buffer) => {
-                    running.half.on_notify(buffer, local, &mut running.hard);
+                    running.half.on_input(Input::Notice(buffer), local);
                     notified = true;
                 }
                 hard::Step::Continue => {}
@@ -305,6 +300,7 @@ impl<S: Services> Node<S> {
 
     /// The tasks below it.
     pub(super) fn run_soft(&mut self, bus: &mut Bus, now: VirtualInstant) {
+        self.tell_errors(bus.error_state(self.station), now);
         self.notify(now);
         self.execute(bus, now);
         while let Some(running) = &mut self.running {
@@ -314,7 +310,7 @@ impl<S: Services> Node<S> {
                 self.execute(bus, now);
                 continue;
             }
-            match running.half.poll(local, &mut running.hard) {
+            match running.half.poll(local) {
                 Step::Command(command) => {
                     self.commands.push(command);
                     self.execute(bus, now);
@@ -328,6 +324,19 @@ impl<S: Services> Node<S> {
                     return;
                 }
             }
+        }
+    }
+
+    /// The counters as bxCAN shows them: eight bits each.
+    fn tell_errors(&mut self, state: crate::ErrorState, now: VirtualInstant) {
+        let Some(running) = &mut self.running else { return };
+        let low_byte = |count: u16| count.min(u8::MAX.into()) as u8;
+        let errors = ErrorCounters {
+            transmit: low_byte(state.transmit_errors),
+            receive: low_byte(state.receive_errors),
+        };
+        if core::mem::replace(&mut running.errors, errors) != errors {
+            running.half.on_input(Input::Errors(errors), running.clock.read(now));
         }
     }
 
@@ -355,11 +364,10 @@ impl<S: Services> Node<S> {
         let local = running.clock.read(now);
         let mut access = Access {
             now: local,
-            global: running.hard.clock().to_global(local),
+            global: running.half.hard().clock().to_global(local),
             true_now: now,
             exact_now: running.clock.exact(now),
             half: &mut running.half,
-            hard: &mut running.hard,
             commands: &mut self.commands,
         };
         Some(call(running.application.as_mut(), &mut access))

@@ -1,0 +1,373 @@
+//! Nodes of any size: for runtimes, which are written once for all of them.
+
+use super::{Commands, EventHalf, HardAccess, Input, Step, outcome, receive};
+use crate::calendar::Calendar;
+use crate::can::{Frame, Mailbox, Outcome, TxNode};
+use crate::event_layer::{
+    AnnounceError, Channel, ChannelCounters, Content, Delivered, Event, Exception, ExceptionKind, Filter,
+    MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, SubscribeError, Subscription,
+};
+use crate::network::fragments::Message;
+use crate::network::hard::{self, Dispatcher, HrtBuffers};
+use crate::services::Services;
+use crate::time::{GlobalClock, Instant};
+use crate::uid::Subject;
+use core::task::{Poll, Waker};
+
+/// How much a node has room for, as one type: what [`capacity!`](crate::capacity) names, mostly for a plan.
+///
+/// A runtime that is generic over it need not know the numbers. Its functions are those of the types that it
+/// names.
+pub trait Capacity: 'static {
+    /// The HRT message buffers.
+    type Buffers: Send + 'static;
+    /// The time-triggered half.
+    type Dispatcher: Send + 'static;
+    /// The event-triggered half, with its services and its access to the buffers.
+    type Half<S: Services, H: HardAccess<Self::Buffers>>: Half<Services = S>;
+
+    /// Buffers of a node whose clock is not synchronised yet.
+    const BUFFERS: Self::Buffers;
+
+    /// As [`Dispatcher::new`].
+    fn dispatcher(calendar: &Calendar) -> Self::Dispatcher;
+
+    /// As [`EventHalf::new`].
+    fn half<S: Services, H: HardAccess<Self::Buffers>>(
+        tx_node: Option<TxNode>,
+        calendar: &'static Calendar,
+        services: S,
+        hard: H,
+    ) -> Self::Half<S, H>;
+
+    /// As [`Dispatcher::poll`].
+    fn dispatch(dispatcher: &mut Self::Dispatcher, now: Instant, buffers: &mut Self::Buffers) -> hard::Step;
+
+    /// As [`receive`].
+    fn receive(frame: &Frame, at: Instant, hard: &mut impl HardAccess<Self::Buffers>) -> Option<Input>;
+
+    /// As [`outcome`].
+    fn outcome(
+        mailbox: Mailbox,
+        outcome: Outcome,
+        at: Instant,
+        hard: &mut impl HardAccess<Self::Buffers>,
+    ) -> Option<Input>;
+}
+
+/// The [`Capacity`] with these numbers; [`capacity!`](crate::capacity) names them. What each is of stands at
+/// [`EventHalf`].
+#[derive(Debug)]
+pub struct Sizes<
+    const SLOTS: usize,
+    const CHANNELS: usize,
+    const SUBSCRIPTIONS: usize,
+    const EVENTS: usize,
+    const SOFT: usize,
+    const NRT: usize,
+>;
+
+impl<
+    const SLOTS: usize,
+    const CHANNELS: usize,
+    const SUBSCRIPTIONS: usize,
+    const EVENTS: usize,
+    const SOFT: usize,
+    const NRT: usize,
+> Capacity for Sizes<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT>
+{
+    type Buffers = HrtBuffers<SLOTS>;
+    type Dispatcher = Dispatcher<SLOTS>;
+    type Half<S: Services, H: HardAccess<Self::Buffers>> =
+        EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>;
+
+    const BUFFERS: Self::Buffers = HrtBuffers::new(GlobalClock::unsynchronised());
+
+    fn dispatcher(calendar: &Calendar) -> Self::Dispatcher {
+        Dispatcher::new(calendar)
+    }
+
+    fn half<S: Services, H: HardAccess<Self::Buffers>>(
+        tx_node: Option<TxNode>,
+        calendar: &'static Calendar,
+        services: S,
+        hard: H,
+    ) -> Self::Half<S, H> {
+        EventHalf::new(tx_node, calendar, services, hard)
+    }
+
+    #[inline]
+    fn dispatch(dispatcher: &mut Self::Dispatcher, now: Instant, buffers: &mut Self::Buffers) -> hard::Step {
+        dispatcher.poll(now, buffers)
+    }
+
+    #[inline]
+    fn receive(frame: &Frame, at: Instant, hard: &mut impl HardAccess<Self::Buffers>) -> Option<Input> {
+        receive(frame, at, hard)
+    }
+
+    #[inline]
+    fn outcome(
+        mailbox: Mailbox,
+        what: Outcome,
+        at: Instant,
+        hard: &mut impl HardAccess<Self::Buffers>,
+    ) -> Option<Input> {
+        outcome(mailbox, what, at, hard)
+    }
+}
+
+/// Names a [`Capacity`].
+///
+/// ```
+/// cosmic_core::capacity! {
+///     /// What the robot's nodes have room for.
+///     pub Robot {
+///         slots: 4,
+///         channels: 8,
+///         subscriptions: 8,
+///         events: 32,
+///         soft: 8,
+///         non_real_time: 8,
+///     }
+/// }
+/// ```
+#[macro_export]
+macro_rules! capacity {
+    (
+        $(#[$attribute:meta])*
+        $visibility:vis $name:ident {
+            slots: $slots:expr,
+            channels: $channels:expr,
+            subscriptions: $subscriptions:expr,
+            events: $events:expr,
+            soft: $soft:expr,
+            non_real_time: $non_real_time:expr $(,)?
+        }
+    ) => {
+        $(#[$attribute])*
+        $visibility type $name = $crate::event_half::Sizes<
+            { $slots },
+            { $channels },
+            { $subscriptions },
+            { $events },
+            { $soft },
+            { $non_real_time },
+        >;
+    };
+}
+
+/// What a runtime and an application call of an [`EventHalf`], whatever its capacities. Each method is the one of
+/// the same name there, where its contract stands.
+pub trait Half {
+    /// The services that the node takes part in.
+    type Services: Services;
+
+    /// As [`EventHalf::on_input`].
+    fn on_input(&mut self, input: Input, at: Instant);
+
+    /// As [`EventHalf::poll`].
+    fn poll(&mut self, now: Instant) -> Step;
+
+    /// As [`EventHalf::services`].
+    fn services(&self) -> &Self::Services;
+
+    /// As [`EventHalf::services_mut`].
+    fn services_mut(&mut self) -> &mut Self::Services;
+
+    /// As [`EventHalf::announce`].
+    ///
+    /// # Errors
+    /// As there.
+    fn announce<C: Content>(&mut self, channel: &Channel<C>) -> Result<Publication<C>, AnnounceError>;
+
+    /// As [`EventHalf::subscribe`].
+    ///
+    /// # Errors
+    /// As there.
+    fn subscribe<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        filter: Filter,
+        policy: Policy,
+    ) -> Result<Subscription<C>, SubscribeError>;
+
+    /// As [`EventHalf::cancel_publication`].
+    fn cancel_publication<C>(&mut self, publication: Publication<C>) -> Commands<2>;
+
+    /// As [`EventHalf::cancel_subscription`].
+    fn cancel_subscription<C>(&mut self, subscription: Subscription<C>);
+
+    /// As [`EventHalf::publish`].
+    ///
+    /// # Errors
+    /// As there.
+    fn publish<C: Content>(
+        &mut self,
+        now: Instant,
+        publication: &Publication<C>,
+        event: &Event<C>,
+    ) -> Result<Commands<1>, PublishError>;
+
+    /// As [`EventHalf::next`].
+    fn next<C: Content>(&mut self, subscription: &Subscription<C>) -> Option<Delivered<C>>;
+
+    /// As [`EventHalf::poll_next`].
+    fn poll_next<C: Content>(&mut self, subscription: &Subscription<C>, waker: &Waker) -> Poll<Delivered<C>>;
+
+    /// As [`EventHalf::send_message`].
+    ///
+    /// # Errors
+    /// As there.
+    fn send_message<const LEN: usize>(
+        &mut self,
+        now: Instant,
+        publisher: &mut MessagePublisher<LEN>,
+    ) -> Result<Commands<1>, PublishError>;
+
+    /// As [`EventHalf::receive_messages`].
+    fn receive_messages<const PLACES: usize, const LEN: usize>(
+        &mut self,
+        subscriber: &mut MessageSubscriber<PLACES, LEN>,
+        now: Instant,
+        each: impl FnMut(Message<'_>),
+    );
+
+    /// As [`EventHalf::take_exception`].
+    fn take_exception(&mut self) -> Option<Exception>;
+
+    /// As [`EventHalf::poll_exception`].
+    fn poll_exception(&mut self, waker: &Waker) -> Poll<Exception>;
+
+    /// As [`EventHalf::exceptions`].
+    fn exceptions(&self, kind: ExceptionKind) -> u32;
+
+    /// As [`EventHalf::exceptions_dropped`].
+    fn exceptions_dropped(&self) -> u32;
+
+    /// As [`EventHalf::channel_counters`].
+    fn channel_counters(&self, subject: Subject) -> Option<ChannelCounters>;
+
+    /// As [`EventHalf::foreign_frames`].
+    fn foreign_frames(&self) -> u32;
+
+    /// As [`EventHalf::waiting`].
+    fn waiting(&self) -> usize;
+}
+
+impl<
+    const SLOTS: usize,
+    const CHANNELS: usize,
+    const SUBSCRIPTIONS: usize,
+    const EVENTS: usize,
+    const SOFT: usize,
+    const NRT: usize,
+    S: Services,
+    H: HardAccess<HrtBuffers<SLOTS>>,
+> Half for EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
+{
+    type Services = S;
+
+    #[inline]
+    fn on_input(&mut self, input: Input, at: Instant) {
+        Self::on_input(self, input, at)
+    }
+
+    #[inline]
+    fn poll(&mut self, now: Instant) -> Step {
+        Self::poll(self, now)
+    }
+
+    fn services(&self) -> &Self::Services {
+        Self::services(self)
+    }
+
+    fn services_mut(&mut self) -> &mut Self::Services {
+        Self::services_mut(self)
+    }
+
+    fn announce<C: Content>(&mut self, channel: &Channel<C>) -> Result<Publication<C>, AnnounceError> {
+        Self::announce(self, channel)
+    }
+
+    fn subscribe<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        filter: Filter,
+        policy: Policy,
+    ) -> Result<Subscription<C>, SubscribeError> {
+        Self::subscribe(self, channel, filter, policy)
+    }
+
+    fn cancel_publication<C>(&mut self, publication: Publication<C>) -> Commands<2> {
+        Self::cancel_publication(self, publication)
+    }
+
+    fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) {
+        Self::cancel_subscription(self, subscription)
+    }
+
+    #[inline]
+    fn publish<C: Content>(
+        &mut self,
+        now: Instant,
+        publication: &Publication<C>,
+        event: &Event<C>,
+    ) -> Result<Commands<1>, PublishError> {
+        Self::publish(self, now, publication, event)
+    }
+
+    #[inline]
+    fn next<C: Content>(&mut self, subscription: &Subscription<C>) -> Option<Delivered<C>> {
+        Self::next(self, subscription)
+    }
+
+    fn poll_next<C: Content>(&mut self, subscription: &Subscription<C>, waker: &Waker) -> Poll<Delivered<C>> {
+        Self::poll_next(self, subscription, waker)
+    }
+
+    fn send_message<const LEN: usize>(
+        &mut self,
+        now: Instant,
+        publisher: &mut MessagePublisher<LEN>,
+    ) -> Result<Commands<1>, PublishError> {
+        Self::send_message(self, now, publisher)
+    }
+
+    fn receive_messages<const PLACES: usize, const LEN: usize>(
+        &mut self,
+        subscriber: &mut MessageSubscriber<PLACES, LEN>,
+        now: Instant,
+        each: impl FnMut(Message<'_>),
+    ) {
+        Self::receive_messages(self, subscriber, now, each)
+    }
+
+    fn take_exception(&mut self) -> Option<Exception> {
+        Self::take_exception(self)
+    }
+
+    fn poll_exception(&mut self, waker: &Waker) -> Poll<Exception> {
+        Self::poll_exception(self, waker)
+    }
+
+    fn exceptions(&self, kind: ExceptionKind) -> u32 {
+        Self::exceptions(self, kind)
+    }
+
+    fn exceptions_dropped(&self) -> u32 {
+        Self::exceptions_dropped(self)
+    }
+
+    fn channel_counters(&self, subject: Subject) -> Option<ChannelCounters> {
+        Self::channel_counters(self, subject)
+    }
+
+    fn foreign_frames(&self) -> u32 {
+        Self::foreign_frames(self)
+    }
+
+    fn waiting(&self) -> usize {
+        Self::waiting(self)
+    }
+}
