@@ -10,7 +10,7 @@ use rtic::Mutex;
 use rtic_sync::signal::SignalWriter;
 
 use crate::cluster;
-use crate::node::{Buffers, Locked, Node};
+use crate::node::Node;
 use crate::records::{Records, Sequenced};
 
 /// The right to publish on a channel.
@@ -36,12 +36,8 @@ pub struct Reporter {
 impl<C: Sequenced + defmt::Format> Publisher<C> {
     /// Announces the channel. A channel that cannot be announced is a mistake in the source: the
     /// application ends, with a log.
-    pub fn announce(
-        channel: &Channel<C>,
-        node: &mut impl Mutex<T = Node>,
-        buffers: &mut impl Mutex<T = Buffers>,
-    ) -> Self {
-        let publication = node.lock(|node| node.announce(channel, &mut Locked(buffers)));
+    pub fn announce(channel: &Channel<C>, node: &mut impl Mutex<T = Node>) -> Self {
+        let publication = node.lock(|node| node.announce(channel));
         let publication = defmt::unwrap!(publication);
         Self { channel: *channel, publication }
     }
@@ -51,14 +47,12 @@ impl<C: Sequenced + defmt::Format> Publisher<C> {
         &self,
         content: C,
         node: &mut impl Mutex<T = Node>,
-        buffers: &mut impl Mutex<T = Buffers>,
         reporter: &mut impl Mutex<T = Reporter>,
     ) {
         let sequence = content.sequence();
         let now = clock::now();
         let event = Event::new(content);
-        let result =
-            node.lock(|node| node.publish(now, &self.publication, &event, &mut Locked(&mut *buffers)));
+        let result = node.lock(|node| node.publish(now, &self.publication, &event));
         reporter.lock(|reporter| {
             reporter.published.toggle();
             // There may be more to do than could be done at once, or something to be done later.
@@ -73,13 +67,8 @@ impl<C: Sequenced + defmt::Format> Publisher<C> {
 
 impl<C: Sequenced> Subscriber<C> {
     /// Subscribes to all events of the channel; as [`Publisher::announce`].
-    pub fn subscribe(
-        channel: &Channel<C>,
-        policy: Policy,
-        node: &mut impl Mutex<T = Node>,
-        buffers: &mut impl Mutex<T = Buffers>,
-    ) -> Self {
-        let subscription = node.lock(|node| node.subscribe(channel, policy, &mut Locked(buffers)));
+    pub fn subscribe(channel: &Channel<C>, policy: Policy, node: &mut impl Mutex<T = Node>) -> Self {
+        let subscription = node.lock(|node| node.subscribe(channel, policy));
         let subscription = defmt::unwrap!(subscription);
         Self { channel: *channel, subscription }
     }

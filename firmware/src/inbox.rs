@@ -3,21 +3,18 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use cosmic_core::can::{Frame, Mailbox, Outcome};
-use cosmic_core::network::hard::BufferId;
+use cosmic_core::Input;
 use cosmic_core::time::Instant;
 use heapless::spsc::{Consumer, Producer, Queue};
 use rtic_sync::signal::{Signal, SignalReader, SignalWriter};
 
-/// Something for the event-triggered half.
+/// Something for the event-triggered half, and when it happened.
 #[derive(Clone, Copy, Debug)]
-pub enum Item {
-    /// A frame has arrived.
-    Frame(Frame, Instant),
-    /// A frame has left the soft or non real-time mailbox.
-    Outcome(Mailbox, Outcome, Instant),
-    /// Something happened to an HRT message buffer.
-    Notice(BufferId, Instant),
+pub struct Item {
+    /// What.
+    pub input: Input,
+    /// When.
+    pub at: Instant,
 }
 
 /// The queues, before they are split. One for each app, in the `local` resources of its `init`.
@@ -114,8 +111,8 @@ impl Default for Storage {
 impl Sender {
     /// Hands something over and wakes the receiver. When the queue is full it is lost, and counted.
     #[inline]
-    pub fn send(&mut self, item: Item) {
-        if self.queue.enqueue(item).is_err() {
+    pub fn send(&mut self, input: Input, at: Instant) {
+        if self.queue.enqueue(Item { input, at }).is_err() {
             self.count_lost(1);
         }
         self.wake.write(());

@@ -23,6 +23,7 @@ pub mod cluster;
 pub mod inbox;
 pub mod node;
 pub mod records;
+pub mod shared;
 pub mod signals;
 pub mod start;
 pub mod tasks;

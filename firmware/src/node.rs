@@ -5,8 +5,8 @@ use boards::bxcan_rx::{BusStatus, ErrorState};
 use boards::bxcan_tx::{NonRealTimeMailbox, SoftMailbox};
 use boards::clock;
 use cosmic_core::calendar::Slot;
-use cosmic_core::can::{Command, Mailbox, TxNode};
-use cosmic_core::event_half::{EventHalf, HardAccess, Step};
+use cosmic_core::can::{Command, ErrorCounters, Mailbox, TxNode};
+use cosmic_core::event_half::{EventHalf, Input, Step};
 use cosmic_core::event_layer::{
     AnnounceError, Channel, Content, Event, Filter, Policy, Publication, PublishError, SubscribeError,
     Subscription,
@@ -16,11 +16,11 @@ use cosmic_core::protocol::Rank;
 use cosmic_core::services::ClockService;
 use cosmic_core::time::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
-use rtic::Mutex;
 use rtic_sync::signal::SignalWriter;
 
 use crate::cluster::{self, plan};
 use crate::inbox::Item;
+use crate::shared::Locked;
 
 /// Slots of the calendar in which a node takes part.
 pub const SLOTS: usize = 4;
@@ -35,18 +35,14 @@ pub type Buffers = HrtBuffers<SLOTS>;
 /// The time-triggered half.
 pub type Calendar = Dispatcher<SLOTS>;
 /// The event-triggered half.
-pub type Half = EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NON_REAL_TIME, ClockService>;
+pub type Half = EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NON_REAL_TIME, ClockService, Locked>;
 
 /// The parts of a node that has announced nothing yet, with its rank in the succession of time masters.
 /// For `init`: the settings of the clock synchronisation are checked here.
-pub fn parts(tx_node: TxNode, rank: Rank) -> (Half, Calendar, Buffers) {
+pub fn parts(tx_node: TxNode, rank: Rank) -> (Half, Calendar) {
     let config = SyncConfig { rank: Some(rank), ..cluster::SYNC };
     let clock = ClockService::new(config, &plan::CALENDAR, Some(tx_node), clock::now());
-    (
-        Half::new(Some(tx_node), &plan::CALENDAR, defmt::unwrap!(clock)),
-        Calendar::new(&plan::CALENDAR),
-        Buffers::new(GlobalClock::unsynchronised()),
-    )
+    (Half::new(Some(tx_node), &plan::CALENDAR, defmt::unwrap!(clock), Locked), Calendar::new(&plan::CALENDAR))
 }
 
 /// The event-triggered half and what it drives. A resource of the `etch` task and the application.
@@ -56,6 +52,7 @@ pub struct Node {
     non_real_time: NonRealTimeMailbox,
     bus: BusStatus,
     is_off: bool,
+    errors: ErrorCounters,
     wake_calendar: SignalWriter<'static, ()>,
 }
 
@@ -68,19 +65,15 @@ impl Node {
         bus: BusStatus,
         wake_calendar: SignalWriter<'static, ()>,
     ) -> Self {
-        Self { half, soft, non_real_time, bus, is_off: false, wake_calendar }
+        Self { half, soft, non_real_time, bus, is_off: false, errors: ErrorCounters::NONE, wake_calendar }
     }
 
     /// Announces a channel.
     ///
     /// # Errors
     /// Those of [`EventHalf::announce`].
-    pub fn announce<C: Content>(
-        &mut self,
-        channel: &Channel<C>,
-        hard: &mut impl HardAccess<SLOTS>,
-    ) -> Result<Publication<C>, AnnounceError> {
-        let publication = self.half.announce(channel, hard)?;
+    pub fn announce<C: Content>(&mut self, channel: &Channel<C>) -> Result<Publication<C>, AnnounceError> {
+        let publication = self.half.announce(channel)?;
         self.wake_calendar.write(());
         Ok(publication)
     }
@@ -93,9 +86,8 @@ impl Node {
         &mut self,
         channel: &Channel<C>,
         policy: Policy,
-        hard: &mut impl HardAccess<SLOTS>,
     ) -> Result<Subscription<C>, SubscribeError> {
-        let subscription = self.half.subscribe(channel, Filter::ALL, policy, hard)?;
+        let subscription = self.half.subscribe(channel, Filter::ALL, policy)?;
         self.wake_calendar.write(());
         Ok(subscription)
     }
@@ -114,31 +106,26 @@ impl Node {
         now: Instant,
         publication: &Publication<C>,
         event: &Event<C>,
-        hard: &mut impl HardAccess<SLOTS>,
     ) -> Result<(), PublishError> {
-        if let Some(command) = self.half.publish(now, publication, event, hard)? {
+        for command in self.half.publish(now, publication, event)? {
             self.carry_out(command);
         }
         Ok(())
     }
 
     /// Takes in what an interrupt or the calendar task has handed over.
-    pub fn take_in(&mut self, item: &Item, hard: &mut impl HardAccess<SLOTS>) {
-        match item {
-            Item::Frame(frame, received_at) => self.half.on_frame(frame, *received_at),
-            Item::Outcome(mailbox, outcome, at) => self.half.on_outcome(*mailbox, *outcome, *at),
-            Item::Notice(buffer, at) => self.half.on_notify(*buffer, *at, hard),
-        }
+    pub fn take_in(&mut self, item: &Item) {
+        self.half.on_input(item.input, item.at);
     }
 
     /// Does what is due, and says when something will be, if nothing else happens.
     ///
     /// Ends: each turn fills or empties one of two mailboxes, and an emptied one is filled only after its
     /// outcome was taken in.
-    pub fn attend(&mut self, now: Instant, hard: &mut impl HardAccess<SLOTS>) -> Instant {
+    pub fn attend(&mut self, now: Instant) -> Instant {
         self.watch_bus(now);
         loop {
-            match self.half.poll(now, hard) {
+            match self.half.poll(now) {
                 Step::Command(command) => self.carry_out(command),
                 Step::SleepUntil(instant) => return instant,
             }
@@ -162,9 +149,14 @@ impl Node {
     }
 
     fn watch_bus(&mut self, now: Instant) {
-        let is_off = self.bus.errors().state == ErrorState::BusOff;
+        let counters = self.bus.errors();
+        let errors = ErrorCounters { transmit: counters.transmit, receive: counters.receive };
+        if core::mem::replace(&mut self.errors, errors) != errors {
+            self.half.on_input(Input::Errors(errors), now);
+        }
+        let is_off = counters.state == ErrorState::BusOff;
         if is_off && !self.is_off {
-            self.half.on_bus_off(now);
+            self.half.on_input(Input::BusOff, now);
         }
         self.is_off = is_off;
     }
@@ -179,15 +171,5 @@ impl Node {
             // This half has no hard real-time frames; the calendar task owns that mailbox.
             Command::Load(Mailbox::Hard, _) | Command::Withdraw(Mailbox::Hard) => {}
         }
-    }
-}
-
-/// Locks the HRT message buffers for the time of each access.
-pub struct Locked<'a, M>(pub &'a mut M);
-
-impl<M: Mutex<T = Buffers>> HardAccess<SLOTS> for Locked<'_, M> {
-    #[inline]
-    fn with<R>(&mut self, access: impl FnOnce(&mut Buffers) -> R) -> R {
-        self.0.lock(access)
     }
 }

@@ -10,7 +10,7 @@ use rtic_monotonics::stm32::Priority;
 use crate::application::Reporter;
 use crate::cluster::{self, plan};
 use crate::inbox::{Inbox, Storage};
-use crate::node::{self, Buffers, Node};
+use crate::node::{self, Node};
 use crate::records::Records;
 use crate::tasks::{CalendarParts, OtherParts, OutcomeParts, UrgentParts};
 
@@ -28,8 +28,6 @@ pub struct Parts {
     pub inbox: Inbox,
     /// Shared by the `etch` task and the application.
     pub node: Node,
-    /// Shared by all but `CAN1_RX1`.
-    pub buffers: Buffers,
     /// Shared by the tasks of the application.
     pub reporter: Reporter,
 }
@@ -55,7 +53,7 @@ pub fn start(device: pac::Peripherals, identity: Identity, storage: &'static mut
         Ok(board) => board,
         Err(error) => defmt::panic!("the board cannot be brought up: {}", defmt::Debug2Format(&error)),
     };
-    let (half, dispatcher, buffers) = node::parts(tx_node, rank);
+    let (half, dispatcher) = node::parts(tx_node, rank);
     let ends = storage.split();
     defmt::info!("node {} is up, calendar {=u32:08X}", tx_node.get(), plan::CALENDAR.digest());
     Parts {
@@ -72,7 +70,6 @@ pub fn start(device: pac::Peripherals, identity: Identity, storage: &'static mut
         other: OtherParts { fifo: board.other, frames: ends.frames },
         inbox: ends.inbox,
         node: Node::new(half, board.soft, board.non_real_time, board.bus, ends.wake_calendar),
-        buffers,
         reporter: Reporter::new(records, ends.wake, board.points.published, board.points.exception),
     }
 }

@@ -4,14 +4,16 @@ use boards::bxcan_rx::{FIFO_DEPTH, OtherFrames, UrgentFrames};
 use boards::bxcan_tx::{HardMailbox, TxOutcomes};
 use boards::clock::{self, Mono};
 use boards::stm32f4::MeasuringPoint;
-use cosmic_core::can::{Command, Mailbox, Priority};
+use cosmic_core::can::{Command, Mailbox};
+use cosmic_core::event_half::{HardAccess as _, Input, outcome, receive};
 use cosmic_core::network::hard::Step;
 use rtic::Mutex;
 use rtic_monotonics::Timebase as _;
 use rtic_sync::signal::SignalReader;
 
 use crate::inbox::{Inbox, Item, Sender};
-use crate::node::{Buffers, Calendar, Locked, Node};
+use crate::node::{Calendar, Node};
+use crate::shared::Locked;
 
 /// What the calendar task owns.
 pub struct CalendarParts {
@@ -54,17 +56,17 @@ pub struct OutcomeParts {
 }
 
 /// The calendar dispatcher and the TTCH: from one instant of the calendar to the next.
-pub async fn calendar(parts: &mut CalendarParts, mut buffers: impl Mutex<T = Buffers>) -> ! {
+pub async fn calendar(parts: &mut CalendarParts) -> ! {
     loop {
         parts.running.set();
         let next = loop {
             let now = clock::now();
-            match buffers.lock(|buffers| parts.dispatcher.poll(now, buffers)) {
+            match Locked.with(|buffers| parts.dispatcher.poll(now, buffers)) {
                 Step::Command(Command::Load(_, frame)) => parts.mailbox.load(&frame),
                 Step::Command(Command::Withdraw(_)) => parts.mailbox.withdraw(),
                 Step::Notify(buffer) => {
                     parts.notified.toggle();
-                    parts.notices.send(Item::Notice(buffer, now));
+                    parts.notices.send(Input::Notice(buffer), now);
                 }
                 Step::Continue => {}
                 Step::SleepUntil(instant) => break instant,
@@ -77,15 +79,13 @@ pub async fn calendar(parts: &mut CalendarParts, mut buffers: impl Mutex<T = Buf
 }
 
 /// Frames of FIFO 0: hard real-time frames go into their buffers, others to the event layer.
-pub fn receive_urgent(parts: &mut UrgentParts, mut buffers: impl Mutex<T = Buffers>) {
+pub fn receive_urgent(parts: &mut UrgentParts) {
     for _ in 0..FIFO_DEPTH {
         // Before anything else, since this is the time-stamp.
         let received_at = clock::now();
         let Some(frame) = parts.fifo.read() else { break };
-        if frame.id.priority() == Priority::HARD {
-            buffers.lock(|buffers| buffers.on_frame(&frame, received_at));
-        } else {
-            parts.frames.send(Item::Frame(frame, received_at));
+        if let Some(input) = receive(&frame, received_at, &mut Locked) {
+            parts.frames.send(input, received_at);
         }
     }
     parts.frames.count_lost(parts.fifo.take_losses().overruns);
@@ -96,40 +96,37 @@ pub fn receive_other(parts: &mut OtherParts) {
     for _ in 0..FIFO_DEPTH {
         let received_at = clock::now();
         let Some(frame) = parts.fifo.read() else { break };
-        parts.frames.send(Item::Frame(frame, received_at));
+        if let Some(input) = receive(&frame, received_at, &mut Locked) {
+            parts.frames.send(input, received_at);
+        }
     }
     parts.frames.count_lost(parts.fifo.take_losses().overruns);
 }
 
 /// What became of loaded frames.
-pub fn report_outcomes(parts: &mut OutcomeParts, mut buffers: impl Mutex<T = Buffers>) {
+pub fn report_outcomes(parts: &mut OutcomeParts) {
     let at = clock::now();
     for _ in Mailbox::ALL {
-        let Some((mailbox, outcome)) = parts.outcomes.take() else { return };
-        if mailbox != Mailbox::Hard {
-            parts.left.send(Item::Outcome(mailbox, outcome, at));
-        } else if let Some(omitted) = buffers.lock(|buffers| buffers.on_outcome(outcome, at)) {
-            parts.left.send(Item::Notice(omitted, at));
+        let Some((mailbox, what)) = parts.outcomes.take() else { return };
+        if let Some(input) = outcome(mailbox, what, at, &mut Locked) {
+            parts.left.send(input, at);
         }
     }
 }
 
 /// The event-triggered half: takes in what has arrived, and keeps the mailboxes filled.
-pub async fn etch(
-    inbox: &mut Inbox,
-    mut node: impl Mutex<T = Node>,
-    mut buffers: impl Mutex<T = Buffers>,
-) -> ! {
+pub async fn etch(inbox: &mut Inbox, mut node: impl Mutex<T = Node>) -> ! {
     loop {
         // One lock for each item, so that the application waits for one only.
         while let Some(item) = inbox.take() {
-            node.lock(|node| node.take_in(&item, &mut Locked(&mut buffers)));
+            node.lock(|node| node.take_in(&item));
         }
         let lost = inbox.take_lost();
         if lost > 0 {
-            defmt::error!("{} frames, outcomes or notices were lost on the way to the event layer", lost);
+            let item = Item { input: Input::Lost(lost), at: clock::now() };
+            node.lock(|node| node.take_in(&item));
         }
-        let next = node.lock(|node| node.attend(clock::now(), &mut Locked(&mut buffers)));
+        let next = node.lock(|node| node.attend(clock::now()));
         // Either will do: the instant has come, or something has arrived.
         let _ = Mono::timeout_at(clock::timer(next), inbox.wait()).await;
     }

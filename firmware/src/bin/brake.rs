@@ -12,7 +12,7 @@ mod app {
     use firmware::cluster::plan::nodes;
     use firmware::cluster::{self, BrakeForce};
     use firmware::inbox::{Inbox, Storage};
-    use firmware::node::{Buffers, Node};
+    use firmware::node::Node;
     use firmware::signals;
     use firmware::start::{Identity, Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
@@ -28,7 +28,6 @@ mod app {
 
     #[shared]
     struct Shared {
-        buffers: Buffers,
         node: Node,
         reporter: Reporter,
         /// The disc's temperature as last heard, in hundredths of a degree Celsius.
@@ -47,7 +46,7 @@ mod app {
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
         let parts = start(context.device, IDENTITY, context.local.storage);
-        let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
+        let Parts { calendar, urgent, outcomes, other, inbox, node, reporter } = parts;
         let spawned = [
             calendar::spawn(),
             etch::spawn(),
@@ -58,22 +57,22 @@ mod app {
         ];
         // Each task is spawned once, so there is room for it.
         defmt::assert!(spawned.iter().all(Result::is_ok));
-        (Shared { buffers, node, reporter, disc: 0 }, Local { calendar, urgent, outcomes, other, inbox })
+        (Shared { node, reporter, disc: 0 }, Local { calendar, urgent, outcomes, other, inbox })
     }
 
-    #[task(local = [calendar], shared = [buffers], priority = 7)]
+    #[task(local = [calendar], priority = 7)]
     async fn calendar(context: calendar::Context) {
-        tasks::calendar(context.local.calendar, context.shared.buffers).await
+        tasks::calendar(context.local.calendar).await
     }
 
-    #[task(binds = CAN1_RX0, local = [urgent], shared = [buffers], priority = 6)]
+    #[task(binds = CAN1_RX0, local = [urgent], priority = 6)]
     fn can_rx_urgent(context: can_rx_urgent::Context) {
-        tasks::receive_urgent(context.local.urgent, context.shared.buffers);
+        tasks::receive_urgent(context.local.urgent);
     }
 
-    #[task(binds = CAN1_TX, local = [outcomes], shared = [buffers], priority = 5)]
+    #[task(binds = CAN1_TX, local = [outcomes], priority = 5)]
     fn can_tx(context: can_tx::Context) {
-        tasks::report_outcomes(context.local.outcomes, context.shared.buffers);
+        tasks::report_outcomes(context.local.outcomes);
     }
 
     #[task(binds = CAN1_RX1, local = [other], priority = 4)]
@@ -81,9 +80,9 @@ mod app {
         tasks::receive_other(context.local.other);
     }
 
-    #[task(local = [inbox], shared = [node, buffers], priority = 3)]
+    #[task(local = [inbox], shared = [node], priority = 3)]
     async fn etch(context: etch::Context) {
-        tasks::etch(context.local.inbox, context.shared.node, context.shared.buffers).await
+        tasks::etch(context.local.inbox, context.shared.node).await
     }
 
     #[task(shared = [node, reporter], priority = 1)]
@@ -92,12 +91,12 @@ mod app {
     }
 
     /// Brakes as the wheel speed demands, less when the disc is hot.
-    #[task(shared = [node, buffers, reporter, disc], priority = 1)]
+    #[task(shared = [node, reporter, disc], priority = 1)]
     async fn brake(mut context: brake::Context) {
-        let brake::SharedResources { node, buffers, reporter, disc, .. } = &mut context.shared;
-        let brake_force = Publisher::announce(&cluster::BRAKE_FORCE, node, buffers);
+        let brake::SharedResources { node, reporter, disc, .. } = &mut context.shared;
+        let brake_force = Publisher::announce(&cluster::BRAKE_FORCE, node);
         application::synchronised(node).await;
-        let wheel_speed = Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node, buffers);
+        let wheel_speed = Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node);
         let mut sequence = 0;
         loop {
             let event = wheel_speed.next(node, reporter).await;
@@ -107,25 +106,25 @@ mod app {
                 force: signals::brake_force(event.content.speed, centidegrees),
                 based_on: event.content.sequence as u16,
             };
-            brake_force.publish(content, node, buffers, reporter);
+            brake_force.publish(content, node, reporter);
             sequence = sequence.wrapping_add(1);
         }
     }
 
-    #[task(shared = [node, buffers, reporter, disc], priority = 1)]
+    #[task(shared = [node, reporter, disc], priority = 1)]
     async fn watch_temperature(mut context: watch_temperature::Context) {
-        let watch_temperature::SharedResources { node, buffers, reporter, disc, .. } = &mut context.shared;
-        let temperature = Subscriber::subscribe(&cluster::TEMPERATURE, QUEUE, node, buffers);
+        let watch_temperature::SharedResources { node, reporter, disc, .. } = &mut context.shared;
+        let temperature = Subscriber::subscribe(&cluster::TEMPERATURE, QUEUE, node);
         loop {
             let event = temperature.next(node, reporter).await;
             disc.lock(|disc| *disc = event.content.centidegrees);
         }
     }
 
-    #[task(shared = [node, buffers, reporter], priority = 1)]
+    #[task(shared = [node, reporter], priority = 1)]
     async fn watch_suspension(mut context: watch_suspension::Context) {
-        let watch_suspension::SharedResources { node, buffers, reporter, .. } = &mut context.shared;
-        let suspension = Subscriber::subscribe(&cluster::SUSPENSION, QUEUE, node, buffers);
+        let watch_suspension::SharedResources { node, reporter, .. } = &mut context.shared;
+        let suspension = Subscriber::subscribe(&cluster::SUSPENSION, QUEUE, node);
         loop {
             let event = suspension.next(node, reporter).await;
             defmt::trace!("{}", event.content);

@@ -15,7 +15,7 @@ mod app {
     use firmware::cluster::plan::{channels, nodes};
     use firmware::cluster::{self, LogEntry, Suspension};
     use firmware::inbox::{Inbox, Storage};
-    use firmware::node::{Buffers, Node};
+    use firmware::node::Node;
     use firmware::signals;
     use firmware::start::{Identity, Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
@@ -37,7 +37,6 @@ mod app {
 
     #[shared]
     struct Shared {
-        buffers: Buffers,
         node: Node,
         reporter: Reporter,
         /// What was observed last: a code of the logbook, and the value.
@@ -56,7 +55,7 @@ mod app {
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
         let parts = start(context.device, IDENTITY, context.local.storage);
-        let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
+        let Parts { calendar, urgent, outcomes, other, inbox, node, reporter } = parts;
         let spawned = [
             calendar::spawn(),
             etch::spawn(),
@@ -68,25 +67,22 @@ mod app {
         ];
         // Each task is spawned once, so there is room for it.
         defmt::assert!(spawned.iter().all(Result::is_ok));
-        (
-            Shared { buffers, node, reporter, seen: (SPEED, 0) },
-            Local { calendar, urgent, outcomes, other, inbox },
-        )
+        (Shared { node, reporter, seen: (SPEED, 0) }, Local { calendar, urgent, outcomes, other, inbox })
     }
 
-    #[task(local = [calendar], shared = [buffers], priority = 7)]
+    #[task(local = [calendar], priority = 7)]
     async fn calendar(context: calendar::Context) {
-        tasks::calendar(context.local.calendar, context.shared.buffers).await
+        tasks::calendar(context.local.calendar).await
     }
 
-    #[task(binds = CAN1_RX0, local = [urgent], shared = [buffers], priority = 6)]
+    #[task(binds = CAN1_RX0, local = [urgent], priority = 6)]
     fn can_rx_urgent(context: can_rx_urgent::Context) {
-        tasks::receive_urgent(context.local.urgent, context.shared.buffers);
+        tasks::receive_urgent(context.local.urgent);
     }
 
-    #[task(binds = CAN1_TX, local = [outcomes], shared = [buffers], priority = 5)]
+    #[task(binds = CAN1_TX, local = [outcomes], priority = 5)]
     fn can_tx(context: can_tx::Context) {
-        tasks::report_outcomes(context.local.outcomes, context.shared.buffers);
+        tasks::report_outcomes(context.local.outcomes);
     }
 
     #[task(binds = CAN1_RX1, local = [other], priority = 4)]
@@ -94,9 +90,9 @@ mod app {
         tasks::receive_other(context.local.other);
     }
 
-    #[task(local = [inbox], shared = [node, buffers], priority = 3)]
+    #[task(local = [inbox], shared = [node], priority = 3)]
     async fn etch(context: etch::Context) {
-        tasks::etch(context.local.inbox, context.shared.node, context.shared.buffers).await
+        tasks::etch(context.local.inbox, context.shared.node).await
     }
 
     #[task(shared = [node, reporter], priority = 1)]
@@ -104,52 +100,52 @@ mod app {
         application::report_exceptions(context.shared.node, context.shared.reporter).await
     }
 
-    #[task(shared = [node, buffers, reporter], priority = 1)]
+    #[task(shared = [node, reporter], priority = 1)]
     async fn measure_suspension(mut context: measure_suspension::Context) {
-        let measure_suspension::SharedResources { node, buffers, reporter, .. } = &mut context.shared;
-        let suspension = Publisher::announce(&cluster::SUSPENSION, node, buffers);
+        let measure_suspension::SharedResources { node, reporter, .. } = &mut context.shared;
+        let suspension = Publisher::announce(&cluster::SUSPENSION, node);
         let mut next = clock::now();
         let mut sequence = 0;
         loop {
             next = next + SUSPENSION_PERIOD;
             clock::delay_until(next).await;
             let (travel, velocity) = signals::suspension(sequence);
-            suspension.publish(Suspension { sequence, travel, velocity }, node, buffers, reporter);
+            suspension.publish(Suspension { sequence, travel, velocity }, node, reporter);
             sequence = sequence.wrapping_add(1);
         }
     }
 
     /// Logs what was observed last.
-    #[task(shared = [node, buffers, reporter, seen], priority = 1)]
+    #[task(shared = [node, reporter, seen], priority = 1)]
     async fn write_logbook(mut context: write_logbook::Context) {
-        let write_logbook::SharedResources { node, buffers, reporter, seen, .. } = &mut context.shared;
-        let logbook = Publisher::announce(&cluster::LOGBOOK, node, buffers);
+        let write_logbook::SharedResources { node, reporter, seen, .. } = &mut context.shared;
+        let logbook = Publisher::announce(&cluster::LOGBOOK, node);
         let mut next = clock::now();
         let mut sequence = 0;
         loop {
             next = next + LOGBOOK_PERIOD;
             clock::delay_until(next).await;
             let (code, value) = seen.lock(|seen| *seen);
-            logbook.publish(LogEntry { sequence, code, value }, node, buffers, reporter);
+            logbook.publish(LogEntry { sequence, code, value }, node, reporter);
             sequence = sequence.wrapping_add(1);
         }
     }
 
-    #[task(shared = [node, buffers, reporter, seen], priority = 1)]
+    #[task(shared = [node, reporter, seen], priority = 1)]
     async fn watch_wheel(mut context: watch_wheel::Context) {
-        let watch_wheel::SharedResources { node, buffers, reporter, seen, .. } = &mut context.shared;
+        let watch_wheel::SharedResources { node, reporter, seen, .. } = &mut context.shared;
         application::synchronised(node).await;
-        let wheel_speed = Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node, buffers);
+        let wheel_speed = Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node);
         loop {
             let event = wheel_speed.next(node, reporter).await;
             seen.lock(|seen| *seen = (SPEED, event.content.speed));
         }
     }
 
-    #[task(shared = [node, buffers, reporter, seen], priority = 1)]
+    #[task(shared = [node, reporter, seen], priority = 1)]
     async fn watch_brake(mut context: watch_brake::Context) {
-        let watch_brake::SharedResources { node, buffers, reporter, seen, .. } = &mut context.shared;
-        let brake_force = Subscriber::subscribe(&cluster::BRAKE_FORCE, QUEUE, node, buffers);
+        let watch_brake::SharedResources { node, reporter, seen, .. } = &mut context.shared;
+        let brake_force = Subscriber::subscribe(&cluster::BRAKE_FORCE, QUEUE, node);
         loop {
             let event = brake_force.next(node, reporter).await;
             seen.lock(|seen| *seen = (FORCE, event.content.force));

@@ -14,7 +14,7 @@ mod app {
     use firmware::cluster::plan::{channels, nodes};
     use firmware::cluster::{self, Temperature, WheelSpeed};
     use firmware::inbox::{Inbox, Storage};
-    use firmware::node::{Buffers, Node};
+    use firmware::node::Node;
     use firmware::signals;
     use firmware::start::{Identity, Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
@@ -31,7 +31,6 @@ mod app {
 
     #[shared]
     struct Shared {
-        buffers: Buffers,
         node: Node,
         reporter: Reporter,
     }
@@ -48,7 +47,7 @@ mod app {
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
         let parts = start(context.device, IDENTITY, context.local.storage);
-        let Parts { calendar, urgent, outcomes, other, inbox, node, buffers, reporter } = parts;
+        let Parts { calendar, urgent, outcomes, other, inbox, node, reporter } = parts;
         let spawned = [
             calendar::spawn(),
             etch::spawn(),
@@ -59,22 +58,22 @@ mod app {
         ];
         // Each task is spawned once, so there is room for it.
         defmt::assert!(spawned.iter().all(Result::is_ok));
-        (Shared { buffers, node, reporter }, Local { calendar, urgent, outcomes, other, inbox })
+        (Shared { node, reporter }, Local { calendar, urgent, outcomes, other, inbox })
     }
 
-    #[task(local = [calendar], shared = [buffers], priority = 7)]
+    #[task(local = [calendar], priority = 7)]
     async fn calendar(context: calendar::Context) {
-        tasks::calendar(context.local.calendar, context.shared.buffers).await
+        tasks::calendar(context.local.calendar).await
     }
 
-    #[task(binds = CAN1_RX0, local = [urgent], shared = [buffers], priority = 6)]
+    #[task(binds = CAN1_RX0, local = [urgent], priority = 6)]
     fn can_rx_urgent(context: can_rx_urgent::Context) {
-        tasks::receive_urgent(context.local.urgent, context.shared.buffers);
+        tasks::receive_urgent(context.local.urgent);
     }
 
-    #[task(binds = CAN1_TX, local = [outcomes], shared = [buffers], priority = 5)]
+    #[task(binds = CAN1_TX, local = [outcomes], priority = 5)]
     fn can_tx(context: can_tx::Context) {
-        tasks::report_outcomes(context.local.outcomes, context.shared.buffers);
+        tasks::report_outcomes(context.local.outcomes);
     }
 
     #[task(binds = CAN1_RX1, local = [other], priority = 4)]
@@ -82,9 +81,9 @@ mod app {
         tasks::receive_other(context.local.other);
     }
 
-    #[task(local = [inbox], shared = [node, buffers], priority = 3)]
+    #[task(local = [inbox], shared = [node], priority = 3)]
     async fn etch(context: etch::Context) {
-        tasks::etch(context.local.inbox, context.shared.node, context.shared.buffers).await
+        tasks::etch(context.local.inbox, context.shared.node).await
     }
 
     #[task(shared = [node, reporter], priority = 1)]
@@ -93,46 +92,46 @@ mod app {
     }
 
     /// One measurement for each slot of the calendar, shortly before it.
-    #[task(shared = [node, buffers, reporter], priority = 1)]
+    #[task(shared = [node, reporter], priority = 1)]
     async fn measure_wheel(mut context: measure_wheel::Context) {
-        let measure_wheel::SharedResources { node, buffers, reporter, .. } = &mut context.shared;
+        let measure_wheel::SharedResources { node, reporter, .. } = &mut context.shared;
         // What is published before the others know the time would be lost.
         application::synchronised(node).await;
         clock::delay_until(clock::now() + cluster::SETTLING).await;
         // Announced shortly before the first event: from then on a slot without one is an error.
         let next = node.lock(|node| node.before_slot(&cluster::WHEEL_SPEED_SLOT, LEAD, clock::now()));
         clock::delay_until(next).await;
-        let publisher = Publisher::announce(&cluster::WHEEL_SPEED, node, buffers);
+        let publisher = Publisher::announce(&cluster::WHEEL_SPEED, node);
         let mut sequence = 0;
         loop {
             let content = WheelSpeed { sequence, speed: signals::wheel_speed(sequence), valid: true };
-            publisher.publish(content, node, buffers, reporter);
+            publisher.publish(content, node, reporter);
             sequence = sequence.wrapping_add(1);
             let next = node.lock(|node| node.before_slot(&cluster::WHEEL_SPEED_SLOT, LEAD, clock::now()));
             clock::delay_until(next).await;
         }
     }
 
-    #[task(shared = [node, buffers, reporter], priority = 1)]
+    #[task(shared = [node, reporter], priority = 1)]
     async fn measure_temperature(mut context: measure_temperature::Context) {
-        let measure_temperature::SharedResources { node, buffers, reporter, .. } = &mut context.shared;
-        let publisher = Publisher::announce(&cluster::TEMPERATURE, node, buffers);
+        let measure_temperature::SharedResources { node, reporter, .. } = &mut context.shared;
+        let publisher = Publisher::announce(&cluster::TEMPERATURE, node);
         let mut next = clock::now();
         let mut sequence = 0;
         loop {
             next = next + TEMPERATURE_PERIOD;
             clock::delay_until(next).await;
             let content = Temperature { sequence, centidegrees: signals::disc_temperature(sequence) };
-            publisher.publish(content, node, buffers, reporter);
+            publisher.publish(content, node, reporter);
             sequence = sequence.wrapping_add(1);
         }
     }
 
-    #[task(shared = [node, buffers, reporter], priority = 1)]
+    #[task(shared = [node, reporter], priority = 1)]
     async fn keep_logbook(mut context: keep_logbook::Context) {
-        let keep_logbook::SharedResources { node, buffers, reporter, .. } = &mut context.shared;
+        let keep_logbook::SharedResources { node, reporter, .. } = &mut context.shared;
         let policy = Policy::Fifo(const { Depth::new(16).unwrap() });
-        let logbook = Subscriber::subscribe(&cluster::LOGBOOK, policy, node, buffers);
+        let logbook = Subscriber::subscribe(&cluster::LOGBOOK, policy, node);
         loop {
             let entry = logbook.next(node, reporter).await;
             defmt::debug!("node {}: {}", entry.publisher, entry.content);

@@ -21,15 +21,16 @@
 use core::hint::black_box;
 use core::ptr::{addr_of_mut, write_volatile};
 
+use cosmic_core::Subject;
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
+use cosmic_core::event_half::{Delivered, EventHalf, Input, receive};
 use cosmic_core::event_layer::{
     Channel, Depth, Event, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy, Publication,
     SoftAttributes, Subscription,
 };
 use cosmic_core::network::hard::{self, Dispatcher, HrtBuffers};
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core::{Delivered, EventHalf, Subject};
 use qemu_tests::mono::Mono;
 use qemu_tests::{count, measured, pass, println};
 
@@ -85,40 +86,40 @@ const READY: Instant = Instant::from_epoch(Duration::from_millis(2));
 
 struct Node<const CHANNELS: usize> {
     half: EventHalf<4, CHANNELS, CHANNELS, 16, 16, 8>,
-    buffers: HrtBuffers<4>,
     dispatcher: Dispatcher<4>,
 }
 
 impl<const CHANNELS: usize> Node<CHANNELS> {
     fn new() -> Self {
         Self {
-            half: EventHalf::new(Some(ME), &CALENDAR, ()),
-            buffers: HrtBuffers::new(GlobalClock::free_running()),
+            half: EventHalf::new(Some(ME), &CALENDAR, (), HrtBuffers::new(GlobalClock::free_running())),
             dispatcher: Dispatcher::new(&CALENDAR),
         }
     }
 
     fn announce(&mut self, channel: &Channel<[u8; 8]>) -> Publication<[u8; 8]> {
-        self.half.announce(channel, &mut self.buffers).unwrap()
+        self.half.announce(channel).unwrap()
     }
 
     fn subscribe(&mut self, channel: &Channel<[u8; 8]>) -> Subscription<[u8; 8]> {
         let fifo = Policy::Fifo(Depth::new(8).unwrap());
-        self.half.subscribe(channel, Filter::ALL, fifo, &mut self.buffers).unwrap()
+        self.half.subscribe(channel, Filter::ALL, fifo).unwrap()
     }
 
     #[inline]
     fn publish(&mut self, now: Instant, publication: &Publication<[u8; 8]>, event: &Event<[u8; 8]>) {
-        let published = self.half.publish(now, publication, event, &mut self.buffers);
-        if let Ok(Some(Command::Load(mailbox, frame))) = published {
-            store(mailbox, &frame);
+        let Ok(commands) = self.half.publish(now, publication, event) else { return };
+        for command in commands {
+            if let Command::Load(mailbox, frame) = command {
+                store(mailbox, &frame);
+            }
         }
     }
 
     /// One call of the calendar task.
     #[inline]
     fn tick(&mut self, now: Instant) -> hard::Step {
-        let step = self.dispatcher.poll(now, &mut self.buffers);
+        let step = self.dispatcher.poll(now, self.half.hard_mut());
         if let hard::Step::Command(Command::Load(_, frame)) = step {
             store(Mailbox::Hard, &frame);
         }
@@ -127,7 +128,7 @@ impl<const CHANNELS: usize> Node<CHANNELS> {
 
     /// Has the dispatcher sleep until the next instant.
     fn settle(&mut self, now: Instant) {
-        while !matches!(self.dispatcher.poll(now, &mut self.buffers), hard::Step::SleepUntil(_)) {}
+        while !matches!(self.dispatcher.poll(now, self.half.hard_mut()), hard::Step::SleepUntil(_)) {}
     }
 }
 
@@ -293,7 +294,7 @@ fn receive<const CHANNELS: usize>(channels: &str, number: u16) {
         Name("receive", channels),
         subscriber,
         move |node, (subscription, got)| {
-            node.half.on_frame(&wanted, received_at);
+            node.half.on_input(Input::Frame(wanted), received_at);
             *got = node.half.next(subscription);
         },
         |_, (_, got): &(_, Option<Delivered<_>>)| got.is_some_and(|got| got.content == CONTENT),
@@ -303,7 +304,7 @@ fn receive<const CHANNELS: usize>(channels: &str, number: u16) {
         bench(
             Name(what, channels),
             subscriber,
-            move |node, _| node.half.on_frame(&foreign, received_at),
+            move |node, _| node.half.on_input(Input::Frame(foreign), received_at),
             |node, _: &(_, Option<Delivered<_>>)| node.half.foreign_frames() == 1,
         );
     }
@@ -316,7 +317,7 @@ fn receive_by_four() {
         "receive, 4 subscribers",
         || with(|node| [(); 4].map(|()| (node.subscribe(&soft(0)), None))),
         move |node, subscribers| {
-            node.half.on_frame(&wanted, received_at);
+            node.half.on_input(Input::Frame(wanted), received_at);
             for (subscription, got) in subscribers {
                 *got = node.half.next(subscription);
             }
@@ -343,19 +344,19 @@ fn receive_hard() {
     bench(
         "receive, hard real-time, in the interrupt",
         subscriber,
-        move |node, _| _ = node.buffers.on_frame(&frame, arrived_at),
+        move |node, _| _ = receive(&frame, arrived_at, node.half.hard_mut()),
         |_, _: &(_, Option<Delivered<_>>)| true,
     );
     bench(
         "deliver, hard real-time",
         || {
             let mut prepared = subscriber();
-            prepared.node.buffers.on_frame(&frame, arrived_at);
+            let _ = receive(&frame, arrived_at, prepared.node.half.hard_mut());
             prepared
         },
         move |node, (subscription, got)| {
             if let hard::Step::Notify(buffer) = node.tick(delivery) {
-                node.half.on_notify(buffer, delivery, &mut node.buffers);
+                node.half.on_input(Input::Notice(buffer), delivery);
             }
             *got = node.half.next(subscription);
         },

@@ -16,7 +16,7 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::network::hard::HrtBuffers;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core::{EventHalf, Step, Subject};
+use cosmic_core::{EventHalf, Input, Step, Subject};
 use qemu_tests::mono::Mono;
 use qemu_tests::{count, measured, pass, println};
 
@@ -67,7 +67,6 @@ type Half = EventHalf<2, 4, 4, 8, 6, 6>;
 
 struct Node {
     half: Half,
-    buffers: HrtBuffers<2>,
 }
 
 #[cortex_m_rt::entry]
@@ -97,7 +96,7 @@ fn typed_content_and_filters() {
     let [left, rear] = [0, 2].map(|place| nowhere.with(Attribute::Location, place).unwrap());
     for (speed, context) in [(100, nowhere), (200, left), (300, rear)] {
         let event = Event::new(WheelSpeed { speed, valid: true }).context(context);
-        display.half.on_frame(&sensor.send(&speeds, &event), NOW);
+        display.half.on_input(Input::Frame(sensor.send(&speeds, &event)), NOW);
     }
     for (name, subscription) in
         [("all", &all), ("with a location", &with_location), ("in front", &front), ("without any", &nameless)]
@@ -148,24 +147,24 @@ fn local_subscribers() {
 fn what_is_refused() {
     println!("refused");
     let mut node = Node::new(1);
-    println!("  {:?}", node.half.announce(&UNPLANNED, &mut node.buffers).unwrap_err());
+    println!("  {:?}", node.half.announce(&UNPLANNED).unwrap_err());
     let other_quality: Channel<WheelSpeed> = Channel::soft(
         SPEED.subject(),
         SoftAttributes { deadline: Duration::from_millis(1), validity: Duration::from_millis(1) },
     );
     let speeds = node.announce(&SPEED);
-    println!("  {:?}", node.half.announce(&other_quality, &mut node.buffers).unwrap_err());
+    println!("  {:?}", node.half.announce(&other_quality).unwrap_err());
     let event = Event::new(WheelSpeed { speed: 1, valid: true });
     let later = NOW + Duration::from_millis(1);
     for event in [event.deadline(NOW), event.deadline(later).expires_at(NOW), full_context(event)] {
-        let refused = node.half.publish(later, &speeds, &event, &mut node.buffers);
+        let refused = node.half.publish(later, &speeds, &event);
         println!("  {:?}", refused.unwrap_err());
     }
     let texts = node.announce(&TEXT);
     for _ in 0..4 {
-        assert!(node.half.publish(NOW, &texts, &Event::new(*b"txt"), &mut node.buffers).is_ok());
+        assert!(node.half.publish(NOW, &texts, &Event::new(*b"txt")).is_ok());
     }
-    let refused = node.half.publish(NOW, &texts, &Event::new(*b"txt"), &mut node.buffers);
+    let refused = node.half.publish(NOW, &texts, &Event::new(*b"txt"));
     println!("  {:?}", refused.unwrap_err());
     node.print_exceptions();
 }
@@ -179,13 +178,17 @@ fn full_context(event: Event<WheelSpeed>) -> Event<WheelSpeed> {
 impl Node {
     fn new(tx_node: u8) -> Self {
         Self {
-            half: Half::new(TxNode::new(tx_node), &CALENDAR, ()),
-            buffers: HrtBuffers::new(GlobalClock::free_running()),
+            half: Half::new(
+                TxNode::new(tx_node),
+                &CALENDAR,
+                (),
+                HrtBuffers::new(GlobalClock::free_running()),
+            ),
         }
     }
 
     fn announce<C: Content>(&mut self, channel: &Channel<C>) -> Publication<C> {
-        self.half.announce(channel, &mut self.buffers).unwrap()
+        self.half.announce(channel).unwrap()
     }
 
     fn subscribe<C: Content>(
@@ -194,16 +197,16 @@ impl Node {
         filter: Filter,
         policy: Policy,
     ) -> Subscription<C> {
-        self.half.subscribe(channel, filter, policy, &mut self.buffers).unwrap()
+        self.half.subscribe(channel, filter, policy).unwrap()
     }
 
     /// Publishes an event on the idle node, which then sends it at once.
     fn send<C: Content>(&mut self, publication: &Publication<C>, event: &Event<C>) -> Frame {
-        let command = self.half.publish(NOW, publication, event, &mut self.buffers);
-        let Ok(Some(Command::Load(mailbox, frame))) = command else { panic!("not loaded: {command:?}") };
+        let command = self.half.publish(NOW, publication, event).ok().and_then(|it| it.into_iter().next());
+        let Some(Command::Load(mailbox, frame)) = command else { panic!("not loaded: {command:?}") };
         assert_ne!(mailbox, Mailbox::Hard);
-        assert!(matches!(self.half.poll(NOW, &mut self.buffers), Step::SleepUntil(_)));
-        self.half.on_outcome(mailbox, Outcome::Sent, NOW);
+        assert!(matches!(self.half.poll(NOW), Step::SleepUntil(_)));
+        self.half.on_input(Input::Outcome(mailbox, Outcome::Sent), NOW);
         frame
     }
 
@@ -225,16 +228,16 @@ fn measure() {
     print_measured(
         "publish, sent, poll",
         count::instructions(|| {
-            let Ok(command) = sensor.half.publish(NOW, &texts, &event, &mut sensor.buffers) else { return };
-            black_box(command);
-            sensor.half.on_outcome(Mailbox::NonRealTime, Outcome::Sent, NOW);
-            let _ = black_box(sensor.half.poll(NOW, &mut sensor.buffers));
+            let Ok(commands) = sensor.half.publish(NOW, &texts, &event) else { return };
+            let _ = black_box(commands);
+            sensor.half.on_input(Input::Outcome(Mailbox::NonRealTime, Outcome::Sent), NOW);
+            let _ = black_box(sensor.half.poll(NOW));
         }),
     );
     print_measured(
         "received frame, next",
         count::instructions(|| {
-            display.half.on_frame(black_box(&frame), NOW);
+            display.half.on_input(Input::Frame(black_box(frame)), NOW);
             assert!(display.half.next(&subscription).is_some());
         }),
     );
@@ -243,7 +246,7 @@ fn measure() {
     print_measured(
         "received frame of a channel that does not concern the node",
         count::instructions(|| {
-            display.half.on_frame(black_box(&foreign), NOW);
+            display.half.on_input(Input::Frame(black_box(foreign)), NOW);
         }),
     );
 }

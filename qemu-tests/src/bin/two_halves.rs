@@ -23,17 +23,19 @@
     dispatchers = [GPIO0_0, GPIO0_1, GPIO0_2, GPIO0_3],
 )]
 mod app {
+    use core::cell::UnsafeCell;
     use core::sync::atomic::{AtomicU8, Ordering};
 
+    use cosmic_core::Subject;
     use cosmic_core::calendar::{Calendar, Segment, Slot};
-    use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
+    use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
+    use cosmic_core::event_half::{EventHalf, HardAccess, Input, Step, outcome, receive};
     use cosmic_core::event_layer::{
         Channel, Event, ExceptionKind, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy,
         Publication, SoftAttributes, Subscription,
     };
-    use cosmic_core::network::hard::{self, BufferId, Dispatcher, HrtBuffers};
+    use cosmic_core::network::hard::{self, Dispatcher, HrtBuffers};
     use cosmic_core::time::{Duration, GlobalClock, Instant};
-    use cosmic_core::{EventHalf, HardAccess, Step, Subject};
     use heapless::Deque;
     use qemu_tests::hardware::CanHardware;
     use qemu_tests::mono::{self, Mono, Timebase as _, now};
@@ -96,22 +98,12 @@ mod app {
     const CRIMINAL: u8 = 2;
 
     type Buffers = HrtBuffers<4>;
-    type Node = EventHalf<4, 4, 4, 32, 16, 16>;
-    type Inbox = Deque<Item, 32>;
-
-    /// What the interrupts and the calendar task hand to the event-triggered half.
-    pub enum Item {
-        /// Received at that instant.
-        Frame(Frame, Instant),
-        /// A mailbox has become empty.
-        Outcome(Mailbox, Outcome, Instant),
-        /// Something happened to a hard real-time channel.
-        Notice(BufferId, Instant),
-    }
+    type Node = EventHalf<4, 4, 4, 32, 16, 16, (), Locked>;
+    /// What the interrupts and the calendar task hand to the event-triggered half, and when it happened.
+    type Inbox = Deque<(Input, Instant), 32>;
 
     #[shared]
     struct Shared {
-        buffers: Buffers,
         node: Node,
         inbox: Inbox,
         hardware: CanHardware,
@@ -132,22 +124,20 @@ mod app {
     #[init]
     fn init(_: init::Context) -> (Shared, Local) {
         Mono::start();
-        let mut buffers = Buffers::new(GlobalClock::free_running());
-        let mut node = Node::new(Some(NODE), &CALENDAR, ());
-        let access = &mut buffers;
+        Locked.with(|buffers| buffers.set_clock(GlobalClock::free_running()));
+        let mut node = Node::new(Some(NODE), &CALENDAR, (), Locked);
         let channels = Channels {
-            hard: node.announce(&OF_NODE, access).unwrap(),
-            soft: node.announce(&SOFT, access).unwrap(),
-            bulk: node.announce(&BULK, access).unwrap(),
+            hard: node.announce(&OF_NODE).unwrap(),
+            soft: node.announce(&SOFT).unwrap(),
+            bulk: node.announce(&BULK).unwrap(),
         };
-        let from_peer = node.subscribe(&OF_PEER, Filter::ALL, Policy::Latest, access).unwrap();
+        let from_peer = node.subscribe(&OF_PEER, Filter::ALL, Policy::Latest).unwrap();
         wire::spawn().unwrap();
         peer::spawn().unwrap();
         calendar::spawn().unwrap();
         etch::spawn().unwrap();
         application::spawn(channels, from_peer).ok().unwrap();
         let shared = Shared {
-            buffers,
             node,
             inbox: Inbox::new(),
             hardware: CanHardware::new(BitRate::MAX),
@@ -197,12 +187,12 @@ mod app {
         }
     }
 
-    #[task(priority = 6, local = [dispatcher], shared = [buffers, hardware, inbox, latest])]
+    #[task(priority = 6, local = [dispatcher], shared = [hardware, inbox, latest])]
     async fn calendar(mut cx: calendar::Context) {
         loop {
-            match cx.shared.buffers.lock(|buffers| cx.local.dispatcher.poll(now(), buffers)) {
+            match Locked.with(|buffers| cx.local.dispatcher.poll(now(), buffers)) {
                 hard::Step::Command(command) => execute(command, &mut cx.shared.hardware),
-                hard::Step::Notify(buffer) => post(Item::Notice(buffer, now()), &mut cx.shared.inbox),
+                hard::Step::Notify(buffer) => post(Input::Notice(buffer), now(), &mut cx.shared.inbox),
                 hard::Step::Continue => {}
                 hard::Step::SleepUntil(instant) => {
                     Mono::delay_until(mono::instant(instant)).await;
@@ -214,25 +204,22 @@ mod app {
         }
     }
 
-    #[task(binds = GPIO0_4, priority = 5, shared = [buffers, hardware])]
+    #[task(binds = GPIO0_4, priority = 5, shared = [hardware])]
     fn rx0(mut cx: rx0::Context) {
         let received_at = now();
         while let Some(frame) = cx.shared.hardware.lock(|hardware| hardware.receive(0)) {
-            assert!(cx.shared.buffers.lock(|buffers| buffers.on_frame(&frame, received_at)));
+            assert_eq!(receive(&frame, received_at, &mut Locked), None);
         }
     }
 
-    #[task(binds = GPIO0_5, priority = 4, shared = [buffers, hardware, inbox])]
+    #[task(binds = GPIO0_5, priority = 4, shared = [hardware, inbox])]
     fn tx(mut cx: tx::Context) {
         let at = now();
         for mailbox in Mailbox::ALL {
-            let outcome = cx.shared.hardware.lock(|hardware| hardware.take_outcome(mailbox));
-            match (mailbox, outcome) {
-                (_, None) => {}
-                (Mailbox::Hard, Some(outcome)) => {
-                    cx.shared.buffers.lock(|buffers| buffers.on_outcome(outcome, at));
-                }
-                (_, Some(outcome)) => post(Item::Outcome(mailbox, outcome, at), &mut cx.shared.inbox),
+            let taken = cx.shared.hardware.lock(|hardware| hardware.take_outcome(mailbox));
+            let Some(what) = taken else { continue };
+            if let Some(input) = outcome(mailbox, what, at, &mut Locked) {
+                post(input, at, &mut cx.shared.inbox);
             }
         }
     }
@@ -241,27 +228,23 @@ mod app {
     fn rx1(mut cx: rx1::Context) {
         let received_at = now();
         while let Some(frame) = cx.shared.hardware.lock(|hardware| hardware.receive(1)) {
-            post(Item::Frame(frame, received_at), &mut cx.shared.inbox);
+            if let Some(input) = receive(&frame, received_at, &mut Locked) {
+                post(input, received_at, &mut cx.shared.inbox);
+            }
         }
     }
 
-    #[task(priority = 2, shared = [buffers, hardware, inbox, node])]
+    #[task(priority = 2, shared = [hardware, inbox, node])]
     async fn etch(mut cx: etch::Context) {
         let mut changed = ETCH.take_reader();
         loop {
-            while let Some(item) = cx.shared.inbox.lock(|inbox| inbox.pop_front()) {
-                cx.shared.node.lock(|node| match item {
-                    Item::Frame(frame, at) => node.on_frame(&frame, at),
-                    Item::Outcome(mailbox, outcome, at) => node.on_outcome(mailbox, outcome, at),
-                    Item::Notice(buffer, at) => {
-                        node.on_notify(buffer, at, &mut Locked(&mut cx.shared.buffers))
-                    }
-                });
+            while let Some((input, at)) = cx.shared.inbox.lock(|inbox| inbox.pop_front()) {
+                cx.shared.node.lock(|node| node.on_input(input, at));
             }
             // One lock around all, so that commands reach the mailboxes in their order.
             let next = cx.shared.node.lock(|node| {
                 loop {
-                    match node.poll(now(), &mut Locked(&mut cx.shared.buffers)) {
+                    match node.poll(now()) {
                         Step::Command(command) => execute(command, &mut cx.shared.hardware),
                         Step::SleepUntil(instant) => return instant,
                     }
@@ -271,22 +254,18 @@ mod app {
         }
     }
 
-    #[task(priority = 1, shared = [buffers, hardware, latest, node])]
+    #[task(priority = 1, shared = [hardware, latest, node])]
     async fn application(mut cx: application::Context, channels: Channels, from_peer: Subscription<u64>) {
         let mut report = Report::default();
         for cycle in 0..3 * CYCLES_PER_ACT {
             let act = (cycle / CYCLES_PER_ACT) as u8;
             ACT.store(act, Ordering::Relaxed);
             let event = Event::new(u64::from(cycle));
-            cx.shared.node.lock(|node| {
-                node.publish(now(), &channels.hard, &event, &mut Locked(&mut cx.shared.buffers)).unwrap()
-            });
+            let commands = cx.shared.node.lock(|node| node.publish(now(), &channels.hard, &event).unwrap());
+            assert!(commands.is_empty(), "a hard event waits for its slot");
             let end = Instant::EPOCH + CYCLE * (cycle + 1);
             while act == BUSY && now() < end.saturating_sub(LONG_CALL * 2) {
-                cx.shared.node.lock(|node| {
-                    let access = &mut Locked(&mut cx.shared.buffers);
-                    long_call(node, &channels, access, &mut cx.shared.hardware);
-                });
+                cx.shared.node.lock(|node| long_call(node, &channels, &mut cx.shared.hardware));
                 ETCH.writer().write(());
             }
             while act == CRIMINAL && now() < end.saturating_sub(CRIME * 2) {
@@ -300,7 +279,7 @@ mod app {
             }
             if (cycle + 1) % CYCLES_PER_ACT == 0 {
                 let latest = cx.shared.latest.lock(|latest| latest[usize::from(act)]);
-                let sent = cx.shared.buffers.lock(|buffers| {
+                let sent = Locked.with(|buffers| {
                     let buffer = buffers.find(SLOTS[0].etag, NODE).unwrap();
                     buffers.counters(buffer).unwrap().sent
                 });
@@ -321,17 +300,12 @@ mod app {
 
     /// A long call in the lower half: it fills the queues and computes, all the while with the
     /// event-triggered half in its hands.
-    fn long_call(
-        node: &mut Node,
-        channels: &Channels,
-        access: &mut impl HardAccess<4>,
-        hardware: &mut impl Mutex<T = CanHardware>,
-    ) {
+    fn long_call(node: &mut Node, channels: &Channels, hardware: &mut impl Mutex<T = CanHardware>) {
         let start = now();
         for publication in [&channels.soft, &channels.bulk] {
             // The last is refused: the queue is full.
-            while let Ok(command) = node.publish(start, publication, &Event::new(0), access) {
-                command.into_iter().for_each(|command| execute(command, hardware));
+            while let Ok(commands) = node.publish(start, publication, &Event::new(0)) {
+                commands.into_iter().for_each(|command| execute(command, hardware));
             }
         }
         compute_until(start + LONG_CALL);
@@ -348,17 +322,28 @@ mod app {
         WIRE.writer().write(());
     }
 
-    fn post(item: Item, inbox: &mut impl Mutex<T = Inbox>) {
-        assert!(inbox.lock(|inbox| inbox.push_back(item)).is_ok(), "the inbox is full");
+    fn post(input: Input, at: Instant, inbox: &mut impl Mutex<T = Inbox>) {
+        assert!(inbox.lock(|inbox| inbox.push_back((input, at))).is_ok(), "the inbox is full");
         ETCH.writer().write(());
     }
 
-    /// Locks the message buffers for the time of each access.
-    struct Locked<'a, M>(&'a mut M);
+    /// The message buffers of the node.
+    static BUFFERS: BufferCell = BufferCell(UnsafeCell::new(Buffers::new(GlobalClock::unsynchronised())));
 
-    impl<M: Mutex<T = Buffers>> HardAccess<4> for Locked<'_, M> {
+    struct BufferCell(UnsafeCell<Buffers>);
+
+    // SAFETY: `Locked::with` is the only access. It turns interrupts off, and there is one processor, so no two
+    // accesses overlap; the core's closures do not call it again.
+    unsafe impl Sync for BufferCell {}
+
+    /// Access with interrupts off, for the time of a copy.
+    #[derive(Clone, Copy)]
+    pub struct Locked;
+
+    impl HardAccess<Buffers> for Locked {
         fn with<R>(&mut self, access: impl FnOnce(&mut Buffers) -> R) -> R {
-            self.0.lock(access)
+            // SAFETY: as for `Sync`.
+            cortex_m::interrupt::free(|_| access(unsafe { &mut *BUFFERS.0.get() }))
         }
     }
 
