@@ -26,6 +26,6 @@ pub mod services;
 pub mod time;
 pub mod uid;
 
-pub use event_half::{Capacity, Commands, EventHalf, Half, HardAccess, Input, Step};
+pub use event_half::{Capacity, Due, EventHalf, Half, HardAccess, Input, Step};
 pub use event_layer::Delivered;
 pub use uid::{NodeUid, Subject};

@@ -3,7 +3,7 @@
 use cosmic_core::Subject;
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
-use cosmic_core::event_half::{Commands, EventHalf, Input, Step, receive};
+use cosmic_core::event_half::{Due, EventHalf, Input, Step, receive};
 use cosmic_core::event_layer::{
     AnnounceError, Attribute, Channel, Context, Depth, Event, ExceptionKind, Filter, HardAttributes,
     Importance, NonRealTimeAttributes, Policy, PublishError, SoftAttributes, SubscribeError,
@@ -165,15 +165,16 @@ fn a_cancelled_publication_sends_nothing_any_more() {
     let first = half.announce(&SOFT).unwrap();
     let second = half.announce(&SOFT).unwrap();
     let loaded = half.publish(at(0), &first, &Event::new(1)).unwrap();
-    assert!(matches!(loaded.into_iter().next(), Some(Command::Load(Mailbox::Soft, _))));
-    assert_eq!(half.publish(at(0), &second, &Event::new(2)), Ok(Commands::NONE));
+    assert!(matches!(loaded.command(), Some(Command::Load(Mailbox::Soft, _))));
+    assert_eq!(half.publish(at(0), &second, &Event::new(2)), Ok(Due::NOTHING));
     // While another announcement of the channel stands, its events stay.
-    assert_eq!(half.cancel_publication(second), Commands::NONE);
+    assert_eq!(half.cancel_publication(second), [Due::NOTHING; 2]);
     let again = half.announce(&SOFT).unwrap();
-    assert_eq!(half.cancel_publication(again), Commands::NONE);
-    let commands: Vec<Command> = half.cancel_publication(first).into_iter().collect();
+    assert_eq!(half.cancel_publication(again), [Due::NOTHING; 2]);
+    let commands: Vec<Command> =
+        half.cancel_publication(first).into_iter().filter_map(Due::command).collect();
     assert_eq!(commands, [Command::Withdraw(Mailbox::Soft)]);
-    half.on_input(Input::Outcome(Mailbox::Soft, Outcome::Withdrawn), at(5));
+    half.on_input(&Input::Outcome(Mailbox::Soft, Outcome::Withdrawn), at(5));
     assert!(matches!(half.poll(at(5)), Step::SleepUntil(_)));
     assert_eq!(half.channel_counters(SOFT.subject()), None, "nobody uses the channel any more");
     // Its place and its etag are free again.
@@ -185,8 +186,8 @@ fn a_cancelled_hard_publication_leaves_its_slot_empty() {
     let mut half = node();
     let mut dispatcher = Dispatcher::<2>::new(&CALENDAR);
     let speed = half.announce(&hard(0)).unwrap();
-    assert!(half.publish(at(0), &speed, &Event::new(7)).unwrap().is_empty());
-    assert_eq!(half.cancel_publication(speed), Commands::NONE);
+    assert!(half.publish(at(0), &speed, &Event::new(7)).unwrap() == Due::NOTHING);
+    assert_eq!(half.cancel_publication(speed), [Due::NOTHING; 2]);
     for now in 0..12 {
         loop {
             match dispatcher.poll(at(now * 1_000), half.hard_mut()) {
@@ -204,22 +205,22 @@ fn a_cancelled_subscription_gives_back_its_events_and_its_channel() {
     let one = half.subscribe(&SOFT, Filter::ALL, fifo(4)).unwrap();
     let two = half.subscribe(&SOFT, Filter::ALL, fifo(4)).unwrap();
     for value in 0..2 {
-        half.on_input(Input::Frame(frame(5_000, &[0, value])), at(1));
+        half.on_input(&Input::Frame(frame(5_000, &[0, value])), at(1));
     }
     // All four places of the pool are taken.
-    half.on_input(Input::Frame(frame(5_000, &[0, 9])), at(2));
+    half.on_input(&Input::Frame(frame(5_000, &[0, 9])), at(2));
     assert_eq!(half.exceptions(ExceptionKind::QueueFull), 1);
     half.cancel_subscription(one);
-    half.on_input(Input::Frame(frame(5_000, &[0, 2])), at(3));
+    half.on_input(&Input::Frame(frame(5_000, &[0, 2])), at(3));
     let received: Vec<u16> = std::iter::from_fn(|| half.next(&two)).map(|event| event.content).collect();
     assert_eq!(received, [0, 1, 2]);
     half.cancel_subscription(two);
-    half.on_input(Input::Frame(frame(5_000, &[0, 3])), at(4));
+    half.on_input(&Input::Frame(frame(5_000, &[0, 3])), at(4));
     assert_eq!(half.foreign_frames(), 1);
     // A subscription in the middle of the list of a channel.
     let [a, b, c] = [(); 3].map(|()| half.subscribe(&TEXT, Filter::ALL, fifo(1)).unwrap());
     half.cancel_subscription(b);
-    half.on_input(Input::Frame(frame(Etag::BOUND_FIRST.get(), b"hi")), at(5));
+    half.on_input(&Input::Frame(frame(Etag::BOUND_FIRST.get(), b"hi")), at(5));
     for subscription in [&a, &c] {
         assert_eq!(half.next(subscription).unwrap().content.as_slice(), b"hi");
         assert!(half.next(subscription).is_none());
@@ -231,7 +232,7 @@ fn content_of_the_wrong_length_is_dropped_and_told() {
     let mut half = node();
     let subscription = half.subscribe(&SOFT, Filter::ALL, fifo(4)).unwrap();
     for bytes in [&[1][..], &[0, 2], &[1, 2, 3]] {
-        half.on_input(Input::Frame(frame(5_000, bytes)), at(1));
+        half.on_input(&Input::Frame(frame(5_000, bytes)), at(1));
     }
     assert_eq!(half.next(&subscription).map(|event| event.content), Some(2));
     assert!(half.next(&subscription).is_none());
@@ -245,12 +246,10 @@ fn an_expired_event_is_told_and_not_sent() {
     let mut half = node();
     let text = half.announce(&TEXT).unwrap();
     let command = half.publish(at(0), &text, &Event::new(Payload::new(b"x").unwrap())).unwrap();
-    let Some(Command::Load(Mailbox::NonRealTime, frame)) = command.into_iter().next() else {
-        panic!("{command:?}")
-    };
+    let Some(Command::Load(Mailbox::NonRealTime, frame)) = command.command() else { panic!("{command:?}") };
     assert_eq!(frame.id.priority(), Priority::new(251));
     assert_eq!(half.poll(at(50_000)), Step::Command(Command::Withdraw(Mailbox::NonRealTime)));
-    half.on_input(Input::Outcome(Mailbox::NonRealTime, Outcome::Withdrawn), at(50_001));
+    half.on_input(&Input::Outcome(Mailbox::NonRealTime, Outcome::Withdrawn), at(50_001));
     let exception = half.take_exception().unwrap();
     assert_eq!((exception.subject, exception.kind), (Some(TEXT.subject()), ExceptionKind::ValidityExpired));
     assert_eq!(half.channel_counters(TEXT.subject()).unwrap().discarded, 1);
@@ -269,7 +268,7 @@ fn a_frame_outside_the_calendar_is_no_hard_event() {
     {
         let frame = Frame::new(Id::new(priority, publisher, etag), Payload::new(&[0, 1]).unwrap());
         let input = receive(&frame, at(4_100), half.hard_mut()).expect("no buffer takes it");
-        half.on_input(input, at(4_100));
+        half.on_input(&input, at(4_100));
     }
     assert!(half.next(&subscription).is_none());
     assert_eq!(half.foreign_frames(), 3);
@@ -280,10 +279,10 @@ fn a_frame_outside_the_calendar_is_no_hard_event() {
 #[test]
 fn what_was_lost_below_is_told_and_counted() {
     let mut half = node();
-    half.on_input(Input::Lost(0), at(1));
+    half.on_input(&Input::Lost(0), at(1));
     assert_eq!(half.take_exception(), None);
-    half.on_input(Input::Lost(3), at(2));
-    half.on_input(Input::BusOff, at(3));
+    half.on_input(&Input::Lost(3), at(2));
+    half.on_input(&Input::BusOff, at(3));
     assert_eq!(half.take_exception().map(|exception| exception.kind), Some(ExceptionKind::InputLost));
     assert_eq!(half.take_exception().map(|exception| exception.kind), Some(ExceptionKind::BusOff));
     assert_eq!(half.exceptions(ExceptionKind::InputLost), 3);

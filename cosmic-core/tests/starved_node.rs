@@ -50,7 +50,7 @@ fn the_clock_goes_on_when_non_real_time_frames_starve() {
             let Command::Load(mailbox, frame) = command else { continue };
             if mailbox == Mailbox::Soft || !starved {
                 sent.push(frame.id.etag());
-                half.on_input(Input::Outcome(mailbox, Outcome::Sent), now + Duration::from_micros(150));
+                half.on_input(&Input::Outcome(mailbox, Outcome::Sent), now + Duration::from_micros(150));
             }
         }
     }

@@ -107,7 +107,7 @@ impl Node {
         publication: &Publication<C>,
         event: &Event<C>,
     ) -> Result<(), PublishError> {
-        for command in self.half.publish(now, publication, event)? {
+        if let Some(command) = self.half.publish(now, publication, event)?.command() {
             self.carry_out(command);
         }
         Ok(())
@@ -115,7 +115,7 @@ impl Node {
 
     /// Takes in what an interrupt or the calendar task has handed over.
     pub fn take_in(&mut self, item: &Item) {
-        self.half.on_input(item.input, item.at);
+        self.half.on_input(&item.input, item.at);
     }
 
     /// Does what is due, and says when something will be, if nothing else happens.
@@ -152,11 +152,11 @@ impl Node {
         let counters = self.bus.errors();
         let errors = ErrorCounters { transmit: counters.transmit, receive: counters.receive };
         if core::mem::replace(&mut self.errors, errors) != errors {
-            self.half.on_input(Input::Errors(errors), now);
+            self.half.on_input(&Input::Errors(errors), now);
         }
         let is_off = counters.state == ErrorState::BusOff;
         if is_off && !self.is_off {
-            self.half.on_input(Input::BusOff, now);
+            self.half.on_input(&Input::BusOff, now);
         }
         self.is_off = is_off;
     }

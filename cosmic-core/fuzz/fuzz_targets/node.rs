@@ -14,7 +14,7 @@ use cosmic_core::protocol::Rank;
 use cosmic_core::services::{NodeConfig, NodeServices};
 use cosmic_core::time::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core::event_half::{self, EventHalf, Input, Step as HalfStep, receive};
+use cosmic_core::event_half::{self, Due, EventHalf, Input, Step as HalfStep, receive};
 use cosmic_core_fuzz::{Script, Step, drain, subject, tx_node, uid};
 use libfuzzer_sys::fuzz_target;
 
@@ -95,7 +95,7 @@ impl Node {
 
     fn on_frame(&mut self, frame: &Frame, now: Instant) {
         if let Some(input) = receive(frame, now, self.half.hard_mut()) {
-            self.half.on_input(input, now);
+            self.half.on_input(&input, now);
         }
     }
 
@@ -121,7 +121,7 @@ impl Node {
         let Some(withdrawn) = self.mailboxes[mailbox as usize].take() else { return };
         let outcome = if withdrawn && of & 0x80 != 0 { Outcome::Withdrawn } else { Outcome::Sent };
         if let Some(input) = event_half::outcome(mailbox, outcome, now, self.half.hard_mut()) {
-            self.half.on_input(input, now);
+            self.half.on_input(&input, now);
         }
     }
 
@@ -142,15 +142,15 @@ impl Node {
                 let count = self.publications.len().max(1);
                 if let Some(publication) = self.publications.get(usize::from(of) % count) {
                     let event = Event::new(u32::from(of));
-                    if let Ok(commands) = self.half.publish(now, publication, &event) {
-                        commands.into_iter().for_each(|command| self.execute(command));
+                    if let Ok(due) = self.half.publish(now, publication, &event) {
+                        due.command().into_iter().for_each(|command| self.execute(command));
                     }
                 }
             }
             40 => {
                 if let Some(publication) = self.publications.pop() {
-                    let commands = self.half.cancel_publication(publication);
-                    commands.into_iter().for_each(|command| self.execute(command));
+                    let due = self.half.cancel_publication(publication);
+                    due.into_iter().filter_map(Due::command).for_each(|command| self.execute(command));
                 }
             }
             41 => {
@@ -158,10 +158,10 @@ impl Node {
                     self.half.cancel_subscription(subscription);
                 }
             }
-            42 => self.half.on_input(Input::BusOff, now),
-            44 => self.half.on_input(Input::Lost(of.into()), now),
+            42 => self.half.on_input(&Input::BusOff, now),
+            44 => self.half.on_input(&Input::Lost(of.into()), now),
             43 => self.half.services_mut().release(),
-            _ => self.half.on_input(Input::Errors(ErrorCounters { transmit: of, receive: of }), now),
+            _ => self.half.on_input(&Input::Errors(ErrorCounters { transmit: of, receive: of }), now),
         }
     }
 
@@ -180,7 +180,7 @@ impl Node {
     fn dispatch(&mut self, now: Instant) -> Option<()> {
         match self.dispatcher.poll(now, self.half.hard_mut()) {
             hard::Step::Command(command) => self.execute(command),
-            hard::Step::Notify(buffer) => self.half.on_input(Input::Notice(buffer), now),
+            hard::Step::Notify(buffer) => self.half.on_input(&Input::Notice(buffer), now),
             hard::Step::Continue => {}
             hard::Step::SleepUntil(at) => {
                 assert!(at > now, "the dispatcher wakes at {at:?}, which is not behind {now:?}");

@@ -1,6 +1,6 @@
 //! Nodes of any size: for runtimes, which are written once for all of them.
 
-use super::{Commands, EventHalf, HardAccess, Input, Step, outcome, receive};
+use super::{Due, EventHalf, HardAccess, Input, Step, outcome, receive};
 use crate::calendar::Calendar;
 use crate::can::{Frame, Mailbox, Outcome, TxNode};
 use crate::event_layer::{
@@ -164,7 +164,7 @@ pub trait Half {
     type Services: Services;
 
     /// As [`EventHalf::on_input`].
-    fn on_input(&mut self, input: Input, at: Instant);
+    fn on_input(&mut self, input: &Input, at: Instant);
 
     /// As [`EventHalf::poll`].
     fn poll(&mut self, now: Instant) -> Step;
@@ -193,7 +193,7 @@ pub trait Half {
     ) -> Result<Subscription<C>, SubscribeError>;
 
     /// As [`EventHalf::cancel_publication`].
-    fn cancel_publication<C>(&mut self, publication: Publication<C>) -> Commands<2>;
+    fn cancel_publication<C>(&mut self, publication: Publication<C>) -> [Due; 2];
 
     /// As [`EventHalf::cancel_subscription`].
     fn cancel_subscription<C>(&mut self, subscription: Subscription<C>);
@@ -207,7 +207,7 @@ pub trait Half {
         now: Instant,
         publication: &Publication<C>,
         event: &Event<C>,
-    ) -> Result<Commands<1>, PublishError>;
+    ) -> Result<Due, PublishError>;
 
     /// As [`EventHalf::next`].
     fn next<C: Content>(&mut self, subscription: &Subscription<C>) -> Option<Delivered<C>>;
@@ -223,7 +223,7 @@ pub trait Half {
         &mut self,
         now: Instant,
         publisher: &mut MessagePublisher<LEN>,
-    ) -> Result<Commands<1>, PublishError>;
+    ) -> Result<Due, PublishError>;
 
     /// As [`EventHalf::receive_messages`].
     fn receive_messages<const PLACES: usize, const LEN: usize>(
@@ -269,7 +269,7 @@ impl<
     type Services = S;
 
     #[inline]
-    fn on_input(&mut self, input: Input, at: Instant) {
+    fn on_input(&mut self, input: &Input, at: Instant) {
         Self::on_input(self, input, at)
     }
 
@@ -299,7 +299,7 @@ impl<
         Self::subscribe(self, channel, filter, policy)
     }
 
-    fn cancel_publication<C>(&mut self, publication: Publication<C>) -> Commands<2> {
+    fn cancel_publication<C>(&mut self, publication: Publication<C>) -> [Due; 2] {
         Self::cancel_publication(self, publication)
     }
 
@@ -313,7 +313,7 @@ impl<
         now: Instant,
         publication: &Publication<C>,
         event: &Event<C>,
-    ) -> Result<Commands<1>, PublishError> {
+    ) -> Result<Due, PublishError> {
         Self::publish(self, now, publication, event)
     }
 
@@ -330,7 +330,7 @@ impl<
         &mut self,
         now: Instant,
         publisher: &mut MessagePublisher<LEN>,
-    ) -> Result<Commands<1>, PublishError> {
+    ) -> Result<Due, PublishError> {
         Self::send_message(self, now, publisher)
     }
 

@@ -1,6 +1,6 @@
 //! What the application calls: announce, publish, subscribe, and what it fetches.
 
-use super::{Commands, EventHalf, HardAccess, PUBLISHES, SUBSCRIBES};
+use super::{Due, EventHalf, HardAccess, PUBLISHES, SUBSCRIBES};
 use crate::calendar::Slot;
 use crate::can::{Command, Frame, Id, Payload, Priority};
 use crate::event_layer::{
@@ -73,15 +73,15 @@ impl<
 
     /// Gives up an announcement. When it was the last one of the channel, events that wait to be sent are
     /// discarded; the commands do so in the mailboxes.
-    pub fn cancel_publication<C>(&mut self, publication: Publication<C>) -> Commands<2> {
+    pub fn cancel_publication<C>(&mut self, publication: Publication<C>) -> [Due; 2] {
         let declared = self.layer.declared(publication.tag());
-        let Some(buffer) = self.layer.cancel_publication(&publication) else { return Commands::NONE };
+        let Some(buffer) = self.layer.cancel_publication(&publication) else { return [Due::NOTHING; 2] };
         self.detach(buffer, PUBLISHES);
         if let Some(declared) = declared {
             // Giving up takes no room.
             let _ = self.declare(&declared);
         }
-        Commands(self.etch.recall(|outgoing| outgoing.tag == publication.tag()))
+        self.etch.recall(|outgoing| outgoing.tag == publication.tag()).map(Due)
     }
 
     /// Gives up a subscription, with the events that wait for it.
@@ -107,7 +107,7 @@ impl<
         now: Instant,
         publication: &Publication<C>,
         event: &Event<C>,
-    ) -> Result<Commands<1>, PublishError> {
+    ) -> Result<Due, PublishError> {
         let (payload, quality) = (encode(&event.content), Quality::of(event));
         if quality.is_plain() {
             self.submit::<true>(now, publication.tag(), payload, &quality)
@@ -125,14 +125,14 @@ impl<
         tag: Tag,
         payload: Payload,
         quality: &Quality,
-    ) -> Result<Commands<1>, PublishError> {
+    ) -> Result<Due, PublishError> {
         let quality = if PLAIN { &Quality::PLAIN } else { quality };
         match self.layer.publish(now, tag, payload, quality)? {
             Published::Hard(buffer, payload) => {
                 if self.hard.with(|buffers| buffers.publish(buffer, payload)) {
                     self.raise_replaced(tag, now);
                 }
-                Ok(Commands::NONE)
+                Ok(Due::NOTHING)
             }
             Published::Soft(outgoing) => {
                 let submitted = self.etch.submit_soft(now, outgoing);
@@ -152,7 +152,7 @@ impl<
         now: Instant,
         outgoing: Outgoing,
         submitted: Result<Option<Command>, soft::Full>,
-    ) -> Result<Commands<1>, PublishError> {
+    ) -> Result<Due, PublishError> {
         let Ok(command) = submitted else {
             self.raise(self.layer.subject(outgoing.tag), ExceptionKind::TransmitQueueFull, now);
             return Err(PublishError::QueueFull);
@@ -160,7 +160,7 @@ impl<
         if self.layer.is_subscribed(outgoing.tag) {
             self.deliver_locally(outgoing, now);
         }
-        Ok(Commands([command]))
+        Ok(Due(command))
     }
 
     /// Fetches the next event of a subscription. Content that is no value of the channel's type is passed
@@ -200,13 +200,13 @@ impl<
         &mut self,
         now: Instant,
         publisher: &mut MessagePublisher<LEN>,
-    ) -> Result<Commands<1>, PublishError> {
+    ) -> Result<Due, PublishError> {
         let counters = self.layer.counters_of(publisher.publication().tag());
         publisher.note_departures(counters.sent, counters.discarded);
         if !self.etch.has_room_for_non_real_time() {
-            return Ok(Commands::NONE);
+            return Ok(Due::NOTHING);
         }
-        let Some(fragment) = publisher.next() else { return Ok(Commands::NONE) };
+        let Some(fragment) = publisher.next() else { return Ok(Due::NOTHING) };
         let published = self.publish(now, publisher.publication(), &Event::new(fragment));
         published.inspect_err(|_| publisher.give_up())
     }

@@ -29,9 +29,19 @@ impl<
     /// | the others | O(1), and as a frame for an event that has become visible |
     // In the task of the event half, where it is called once.
     #[inline(always)]
-    pub fn on_input(&mut self, input: Input, at: Instant) {
+    pub fn on_input(&mut self, input: &Input, at: Instant) {
         match input {
-            Input::Frame(frame) => self.on_frame(&frame, at),
+            Input::Frame(frame) => self.on_frame(frame, at),
+            other => self.on_other(other, at),
+        }
+    }
+
+    /// Out of line, so that the way of a frame is short.
+    #[inline(never)]
+    fn on_other(&mut self, input: &Input, at: Instant) {
+        match *input {
+            // Taken by the caller.
+            Input::Frame(_) => {}
             Input::Outcome(mailbox, outcome) => self.on_outcome(mailbox, outcome, at),
             Input::Notice(buffer) => self.on_notice(buffer, at),
             Input::Lost(times) => self.raise_times(None, ExceptionKind::InputLost, times, at),
@@ -40,9 +50,10 @@ impl<
         }
     }
 
-    /// A frame has arrived that no HRT message buffer has taken.
+    /// As [`on_input`](Self::on_input) with [`Input::Frame`], for a host that has not put the frame into a queue:
+    /// saves looking what it is.
     #[inline(always)]
-    fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+    pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         match self.layer.receive(frame, received_at) {
             Received::Delivered => {}
             Received::Foreign => return self.reject(frame, received_at),

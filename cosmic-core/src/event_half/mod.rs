@@ -15,7 +15,7 @@
 //! * after any of them, and at the instant named last: [`poll`](EventHalf::poll), until it says
 //!   [`Step::SleepUntil`].
 //!
-//! A method that returns [`Commands`] wants them carried out by the driver before the next call.
+//! A method that returns [`Due`] wants it carried out by the driver before the next call.
 //!
 //! Every host (firmware, simulation, a test) does the same three things: it hands in [`Input`]s, carries out
 //! commands, and polls again at an instant. Who gets a frame is decided here, not by the host.
@@ -57,29 +57,20 @@ impl<const SLOTS: usize> HardAccess<Self> for HrtBuffers<SLOTS> {
     }
 }
 
-/// What the driver must carry out, in this order and before the next call: at most `N` commands.
+/// What the driver must carry out before the next call: a command, or nothing.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[must_use = "commands that are not carried out leave the mailboxes in a state that the core does not expect"]
-pub struct Commands<const N: usize>([Option<Command>; N]);
+#[must_use = "a command that is not carried out leaves the mailboxes in a state that the core does not expect"]
+pub struct Due(Option<Command>);
 
-impl<const N: usize> Commands<N> {
+impl Due {
     /// Nothing is to be done.
-    pub const NONE: Self = Self([None; N]);
+    pub const NOTHING: Self = Self(None);
 
-    /// Returns whether nothing is to be done.
-    pub fn is_empty(&self) -> bool {
-        self.0.iter().all(Option::is_none)
-    }
-}
-
-impl<const N: usize> IntoIterator for Commands<N> {
-    type Item = Command;
-    type IntoIter = core::iter::Flatten<core::array::IntoIter<Option<Command>, N>>;
-
+    /// The command, if there is one.
     #[inline]
-    fn into_iter(self) -> Self::IntoIter {
-        self.0.into_iter().flatten()
+    pub const fn command(self) -> Option<Command> {
+        self.0
     }
 }
 

@@ -24,7 +24,7 @@ use core::ptr::{addr_of_mut, write_volatile};
 use cosmic_core::Subject;
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
-use cosmic_core::event_half::{Delivered, EventHalf, Input, receive};
+use cosmic_core::event_half::{self, Delivered, EventHalf, Input};
 use cosmic_core::event_layer::{
     Channel, Depth, Event, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy, Publication,
     SoftAttributes, Subscription,
@@ -108,11 +108,9 @@ impl<const CHANNELS: usize> Node<CHANNELS> {
 
     #[inline]
     fn publish(&mut self, now: Instant, publication: &Publication<[u8; 8]>, event: &Event<[u8; 8]>) {
-        let Ok(commands) = self.half.publish(now, publication, event) else { return };
-        for command in commands {
-            if let Command::Load(mailbox, frame) = command {
-                store(mailbox, &frame);
-            }
+        let Ok(due) = self.half.publish(now, publication, event) else { return };
+        if let Some(Command::Load(mailbox, frame)) = due.command() {
+            store(mailbox, &frame);
         }
     }
 
@@ -294,7 +292,7 @@ fn receive<const CHANNELS: usize>(channels: &str, number: u16) {
         Name("receive", channels),
         subscriber,
         move |node, (subscription, got)| {
-            node.half.on_input(Input::Frame(wanted), received_at);
+            node.half.on_frame(&wanted, received_at);
             *got = node.half.next(subscription);
         },
         |_, (_, got): &(_, Option<Delivered<_>>)| got.is_some_and(|got| got.content == CONTENT),
@@ -304,7 +302,7 @@ fn receive<const CHANNELS: usize>(channels: &str, number: u16) {
         bench(
             Name(what, channels),
             subscriber,
-            move |node, _| node.half.on_input(Input::Frame(foreign), received_at),
+            move |node, _| node.half.on_frame(&foreign, received_at),
             |node, _: &(_, Option<Delivered<_>>)| node.half.foreign_frames() == 1,
         );
     }
@@ -317,7 +315,7 @@ fn receive_by_four() {
         "receive, 4 subscribers",
         || with(|node| [(); 4].map(|()| (node.subscribe(&soft(0)), None))),
         move |node, subscribers| {
-            node.half.on_input(Input::Frame(wanted), received_at);
+            node.half.on_frame(&wanted, received_at);
             for (subscription, got) in subscribers {
                 *got = node.half.next(subscription);
             }
@@ -344,19 +342,19 @@ fn receive_hard() {
     bench(
         "receive, hard real-time, in the interrupt",
         subscriber,
-        move |node, _| _ = receive(&frame, arrived_at, node.half.hard_mut()),
+        move |node, _| _ = event_half::receive(&frame, arrived_at, node.half.hard_mut()),
         |_, _: &(_, Option<Delivered<_>>)| true,
     );
     bench(
         "deliver, hard real-time",
         || {
             let mut prepared = subscriber();
-            let _ = receive(&frame, arrived_at, prepared.node.half.hard_mut());
+            let _ = event_half::receive(&frame, arrived_at, prepared.node.half.hard_mut());
             prepared
         },
         move |node, (subscription, got)| {
             if let hard::Step::Notify(buffer) = node.tick(delivery) {
-                node.half.on_input(Input::Notice(buffer), delivery);
+                node.half.on_input(&Input::Notice(buffer), delivery);
             }
             *got = node.half.next(subscription);
         },

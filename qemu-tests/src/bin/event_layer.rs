@@ -16,7 +16,7 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::network::hard::HrtBuffers;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core::{EventHalf, Input, Step, Subject};
+use cosmic_core::{Due, EventHalf, Input, Step, Subject};
 use qemu_tests::mono::Mono;
 use qemu_tests::{count, measured, pass, println};
 
@@ -96,7 +96,7 @@ fn typed_content_and_filters() {
     let [left, rear] = [0, 2].map(|place| nowhere.with(Attribute::Location, place).unwrap());
     for (speed, context) in [(100, nowhere), (200, left), (300, rear)] {
         let event = Event::new(WheelSpeed { speed, valid: true }).context(context);
-        display.half.on_input(Input::Frame(sensor.send(&speeds, &event)), NOW);
+        display.half.on_input(&Input::Frame(sensor.send(&speeds, &event)), NOW);
     }
     for (name, subscription) in
         [("all", &all), ("with a location", &with_location), ("in front", &front), ("without any", &nameless)]
@@ -117,7 +117,7 @@ fn policies() {
     let two = console.subscribe(&TEXT, Filter::ALL, Policy::Fifo(Depth::new(2).unwrap()));
     let latest = console.subscribe(&TEXT, Filter::ALL, Policy::Latest);
     for text in [*b"one", *b"two", *b"six"] {
-        console.half.on_frame(&logger.send(&texts, &Event::new(text)), NOW);
+        console.half.on_input(&Input::Frame(logger.send(&texts, &Event::new(text))), NOW);
     }
     for (name, subscription) in [("first in, first out", &two), ("latest", &latest)] {
         while let Some(delivered) = console.half.next(subscription) {
@@ -127,7 +127,7 @@ fn policies() {
     console.print_exceptions();
 
     let frame = logger.send(&texts, &Event::new(*b"odd"));
-    console.half.on_frame(&Frame::new(frame.id, Payload::full([0; 8])), NOW);
+    console.half.on_input(&Input::Frame(Frame::new(frame.id, Payload::full([0; 8]))), NOW);
     assert!(console.half.next(&two).is_none());
     console.print_exceptions();
 }
@@ -202,11 +202,11 @@ impl Node {
 
     /// Publishes an event on the idle node, which then sends it at once.
     fn send<C: Content>(&mut self, publication: &Publication<C>, event: &Event<C>) -> Frame {
-        let command = self.half.publish(NOW, publication, event).ok().and_then(|it| it.into_iter().next());
+        let command = self.half.publish(NOW, publication, event).ok().and_then(Due::command);
         let Some(Command::Load(mailbox, frame)) = command else { panic!("not loaded: {command:?}") };
         assert_ne!(mailbox, Mailbox::Hard);
         assert!(matches!(self.half.poll(NOW), Step::SleepUntil(_)));
-        self.half.on_input(Input::Outcome(mailbox, Outcome::Sent), NOW);
+        self.half.on_input(&Input::Outcome(mailbox, Outcome::Sent), NOW);
         frame
     }
 
@@ -228,16 +228,16 @@ fn measure() {
     print_measured(
         "publish, sent, poll",
         count::instructions(|| {
-            let Ok(commands) = sensor.half.publish(NOW, &texts, &event) else { return };
-            let _ = black_box(commands);
-            sensor.half.on_input(Input::Outcome(Mailbox::NonRealTime, Outcome::Sent), NOW);
+            let Ok(due) = sensor.half.publish(NOW, &texts, &event) else { return };
+            let _ = black_box(due);
+            sensor.half.on_input(&Input::Outcome(Mailbox::NonRealTime, Outcome::Sent), NOW);
             let _ = black_box(sensor.half.poll(NOW));
         }),
     );
     print_measured(
         "received frame, next",
         count::instructions(|| {
-            display.half.on_input(Input::Frame(black_box(frame)), NOW);
+            display.half.on_input(&Input::Frame(black_box(frame)), NOW);
             assert!(display.half.next(&subscription).is_some());
         }),
     );
@@ -246,7 +246,7 @@ fn measure() {
     print_measured(
         "received frame of a channel that does not concern the node",
         count::instructions(|| {
-            display.half.on_input(Input::Frame(black_box(foreign)), NOW);
+            display.half.on_input(&Input::Frame(black_box(foreign)), NOW);
         }),
     );
 }

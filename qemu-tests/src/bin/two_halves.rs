@@ -29,7 +29,7 @@ mod app {
     use cosmic_core::Subject;
     use cosmic_core::calendar::{Calendar, Segment, Slot};
     use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
-    use cosmic_core::event_half::{EventHalf, HardAccess, Input, Step, outcome, receive};
+    use cosmic_core::event_half::{Due, EventHalf, HardAccess, Input, Step, outcome, receive};
     use cosmic_core::event_layer::{
         Channel, Event, ExceptionKind, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy,
         Publication, SoftAttributes, Subscription,
@@ -239,7 +239,7 @@ mod app {
         let mut changed = ETCH.take_reader();
         loop {
             while let Some((input, at)) = cx.shared.inbox.lock(|inbox| inbox.pop_front()) {
-                cx.shared.node.lock(|node| node.on_input(input, at));
+                cx.shared.node.lock(|node| node.on_input(&input, at));
             }
             // One lock around all, so that commands reach the mailboxes in their order.
             let next = cx.shared.node.lock(|node| {
@@ -261,8 +261,8 @@ mod app {
             let act = (cycle / CYCLES_PER_ACT) as u8;
             ACT.store(act, Ordering::Relaxed);
             let event = Event::new(u64::from(cycle));
-            let commands = cx.shared.node.lock(|node| node.publish(now(), &channels.hard, &event).unwrap());
-            assert!(commands.is_empty(), "a hard event waits for its slot");
+            let due = cx.shared.node.lock(|node| node.publish(now(), &channels.hard, &event).unwrap());
+            assert!(due == Due::NOTHING, "a hard event waits for its slot");
             let end = Instant::EPOCH + CYCLE * (cycle + 1);
             while act == BUSY && now() < end.saturating_sub(LONG_CALL * 2) {
                 cx.shared.node.lock(|node| long_call(node, &channels, &mut cx.shared.hardware));
@@ -304,8 +304,8 @@ mod app {
         let start = now();
         for publication in [&channels.soft, &channels.bulk] {
             // The last is refused: the queue is full.
-            while let Ok(commands) = node.publish(start, publication, &Event::new(0)) {
-                commands.into_iter().for_each(|command| execute(command, hardware));
+            while let Ok(due) = node.publish(start, publication, &Event::new(0)) {
+                due.command().into_iter().for_each(|command| execute(command, hardware));
             }
         }
         compute_until(start + LONG_CALL);

@@ -8,7 +8,7 @@ use crate::time::{FAR_FUTURE, VirtualInstant};
 use cosmic_core::Delivered;
 use cosmic_core::calendar::Calendar;
 use cosmic_core::can::{Command, ErrorCounters, Frame, Mailbox, Outcome, TxNode};
-use cosmic_core::event_half::{EventHalf, Input, Step, outcome, receive};
+use cosmic_core::event_half::{Due, EventHalf, Input, Step, outcome, receive};
 use cosmic_core::event_layer::{
     AnnounceError, Channel, Content, Event, Exception, Filter, MessagePublisher, MessageSubscriber, Policy,
     Publication, PublishError, SubscribeError, Subscription,
@@ -101,15 +101,14 @@ impl<S: Services> Access<'_, S> {
         publication: &Publication<C>,
         event: &Event<C>,
     ) -> Result<(), PublishError> {
-        let commands = self.half.publish(self.now, publication, event)?;
-        self.commands.extend(commands);
+        self.commands.extend(self.half.publish(self.now, publication, event)?.command());
         Ok(())
     }
 
     /// As [`EventHalf::cancel_publication`].
     pub fn cancel_publication<C>(&mut self, publication: Publication<C>) {
-        let commands = self.half.cancel_publication(publication);
-        self.commands.extend(commands);
+        let due = self.half.cancel_publication(publication);
+        self.commands.extend(due.into_iter().filter_map(Due::command));
     }
 
     /// As [`EventHalf::cancel_subscription`].
@@ -130,8 +129,7 @@ impl<S: Services> Access<'_, S> {
         &mut self,
         publisher: &mut MessagePublisher<LEN>,
     ) -> Result<(), PublishError> {
-        let commands = self.half.send_message(self.now, publisher)?;
-        self.commands.extend(commands);
+        self.commands.extend(self.half.send_message(self.now, publisher)?.command());
         Ok(())
     }
 
@@ -244,7 +242,7 @@ impl<S: Services> Node<S> {
                 // Receivers accept one bit before the sender is done; time-stamps are of the end.
                 let stamp = stamp + bus.bit_rate().bit_time();
                 let Some(input) = receive(&frame, stamp, running.half.hard_mut()) else { return };
-                running.half.on_input(input, stamp);
+                running.half.on_input(&input, stamp);
                 if !frame.id.etag().is_reserved() {
                     // Nothing else than the queues of the subscribers can have changed.
                     self.notify(now);
@@ -255,7 +253,7 @@ impl<S: Services> Node<S> {
             EventKind::Sent { mailbox } => self.on_outcome(mailbox, Outcome::Sent, stamp),
             EventKind::Withdrawn { mailbox } => self.on_outcome(mailbox, Outcome::Withdrawn, stamp),
             EventKind::ErrorState(state) if state.level() == crate::ErrorLevel::BusOff => {
-                running.half.on_input(Input::BusOff, stamp);
+                running.half.on_input(&Input::BusOff, stamp);
             }
             EventKind::Failed { .. } | EventKind::ErrorState(_) => return,
         }
@@ -266,7 +264,7 @@ impl<S: Services> Node<S> {
         let Some(running) = &mut self.running else { return };
         let Some(&mailbox) = Mailbox::ALL.get(mailbox) else { return };
         if let Some(input) = outcome(mailbox, what, at, running.half.hard_mut()) {
-            running.half.on_input(input, at);
+            running.half.on_input(&input, at);
         }
     }
 
@@ -281,7 +279,7 @@ impl<S: Services> Node<S> {
                     self.execute(bus, now);
                 }
                 hard::Step::Notify(buffer) => {
-                    running.half.on_input(Input::Notice(buffer), local);
+                    running.half.on_input(&Input::Notice(buffer), local);
                     notified = true;
                 }
                 hard::Step::Continue => {}
@@ -336,7 +334,7 @@ impl<S: Services> Node<S> {
             receive: low_byte(state.receive_errors),
         };
         if core::mem::replace(&mut running.errors, errors) != errors {
-            running.half.on_input(Input::Errors(errors), running.clock.read(now));
+            running.half.on_input(&Input::Errors(errors), running.clock.read(now));
         }
     }
 
