@@ -16,52 +16,73 @@ pub struct Exception {
     pub at: Instant,
 }
 
-/// What did not happen as it was promised.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum ExceptionKind {
+macro_rules! exception_kinds {
+    ($($(#[$doc:meta])+ $kind:ident = $name:literal,)+) => {
+        /// What did not happen as it was promised.
+        #[derive(Clone, Copy, PartialEq, Eq, Debug)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        pub enum ExceptionKind {
+            $($(#[$doc])+ $kind,)+
+        }
+
+        impl ExceptionKind {
+            /// All of them, by their numbers.
+            pub const ALL: &[Self] = &[$(Self::$kind),+];
+
+            /// What it is called.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $name,)+
+                }
+            }
+        }
+    };
+}
+
+// Each has one meaning. New ones come last: their numbers stand in records.
+exception_kinds! {
     /// Publisher: an event has not been sent by its transmission deadline. It is still sent.
-    MissedDeadline,
+    MissedDeadline = "missed transmission deadline",
     /// Publisher: an event expired before it was sent, and has been discarded; so are events that wait while
     /// the channel loses its etag, or the node its TxNode.
-    ValidityExpired,
+    ValidityExpired = "validity expired",
     /// Publisher: more faults than the omission degree; a hard real-time event was not sent in its slot.
-    OmissionDegreeExceeded,
+    OmissionDegreeExceeded = "omission degree exceeded",
     /// Publisher: nothing fresh was there for the slot of a periodic channel.
-    NothingPublished,
+    NothingPublished = "nothing published for the slot",
     /// Publisher: a hard real-time event was not sent because its slot could not be used.
-    SlotSkipped,
+    SlotSkipped = "slot skipped",
     /// Subscriber: no event arrived in the slot of a periodic channel.
-    MissedEvent,
+    MissedEvent = "missed event",
     /// Both: the hard real-time path keeps silent, for the clock is not as accurate as planned.
-    ClockOutOfBound,
+    ClockOutOfBound = "clock out of bound",
     /// Both: the hard real-time path keeps silent, for the segment has another calendar.
-    CalendarMismatch,
+    CalendarMismatch = "calendar mismatch",
     /// Subscriber: an event did not fit in the subscription's queue and was dropped.
-    QueueFull,
+    QueueFull = "queue full",
     /// Subscriber: an event did not carry what the channel's type says, and was dropped.
-    Malformed,
+    Malformed = "malformed content",
     /// Publisher: a queue towards the bus was full; an event was dropped.
-    TransmitQueueFull,
+    TransmitQueueFull = "transmit queue full",
     /// The broker has no etag left for this subject, or gave one that is in use here.
-    BindingRefused,
+    BindingRefused = "binding refused",
     /// The broker has no TxNode left for this node.
-    ConfigurationRefused,
+    ConfigurationRefused = "configuration refused",
     /// Another node uses this subject with another layout of content.
-    LayoutMismatch,
+    LayoutMismatch = "layout mismatch",
     /// Another node uses this node's TxNode.
-    DuplicateTxNode,
+    DuplicateTxNode = "duplicate TxNode",
     /// The controller has left the bus after too many errors.
-    BusOff,
+    BusOff = "bus-off",
     /// Publisher: a hard real-time event was replaced by a later one before its slot came.
-    EventReplaced,
+    EventReplaced = "event replaced before its slot",
     /// Frames, outcomes or notices were lost inside this node, because a queue or a receive FIFO was full.
-    InputLost,
+    InputLost = "input lost inside the node",
 }
 
 impl ExceptionKind {
     /// How many kinds there are.
-    pub const COUNT: usize = 18;
+    pub const COUNT: usize = Self::ALL.len();
 }
 
 /// Exceptions on their way to the application: the first `N` are kept, all are counted.

@@ -117,29 +117,8 @@ impl Records {
     }
 }
 
-/// All kinds, by the number that stands in a record.
-pub const EXCEPTIONS: &[ExceptionKind] = &[
-    ExceptionKind::MissedDeadline,
-    ExceptionKind::ValidityExpired,
-    ExceptionKind::OmissionDegreeExceeded,
-    ExceptionKind::NothingPublished,
-    ExceptionKind::SlotSkipped,
-    ExceptionKind::MissedEvent,
-    ExceptionKind::ClockOutOfBound,
-    ExceptionKind::CalendarMismatch,
-    ExceptionKind::QueueFull,
-    ExceptionKind::Malformed,
-    ExceptionKind::TransmitQueueFull,
-    ExceptionKind::BindingRefused,
-    ExceptionKind::ConfigurationRefused,
-    ExceptionKind::LayoutMismatch,
-    ExceptionKind::DuplicateTxNode,
-    ExceptionKind::BusOff,
-    ExceptionKind::EventReplaced,
-];
-
 fn exception_kind(number: u8) -> Option<ExceptionKind> {
-    EXCEPTIONS.get(usize::from(number)).copied()
+    ExceptionKind::ALL.get(usize::from(number)).copied()
 }
 
 #[cfg(test)]
@@ -155,8 +134,7 @@ mod tests {
 
     #[test]
     fn exceptions_have_the_numbers_that_the_firmware_writes() {
-        assert_eq!(EXCEPTIONS.len(), ExceptionKind::COUNT);
-        for (number, kind) in EXCEPTIONS.iter().enumerate() {
+        for (number, kind) in ExceptionKind::ALL.iter().enumerate() {
             assert_eq!(*kind as usize, number);
         }
     }

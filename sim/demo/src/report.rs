@@ -13,7 +13,6 @@ use crate::example::{Channel, Class};
 use crate::hard::{self, Fate};
 use crate::journal::Journal;
 use crate::order;
-use crate::record::EXCEPTIONS;
 use crate::span::{Range, Span, Spread};
 use crate::verdict::{Tally, Verdict};
 
@@ -367,7 +366,7 @@ fn exceptions(journal: &Journal, verdict: &Verdict) -> Vec<ExceptionReport> {
     let started = judged_from(verdict);
     let mut reports = Vec::new();
     for (channel, node) in places {
-        for kind in EXCEPTIONS {
+        for kind in ExceptionKind::ALL {
             let etag = channel.map(|channel| channel.etag);
             let same = |it: &&super::ledger::Told| (it.node, it.etag, it.kind) == (node.tx_node, etag, *kind);
             let count = verdict.ledger.told.iter().filter(same).count();
@@ -379,7 +378,7 @@ fn exceptions(journal: &Journal, verdict: &Verdict) -> Vec<ExceptionReport> {
                     node: node.name,
                     channel: channel.map(|channel| channel.name),
                     role: channel.map(|it| if is_publisher(it) { "publisher" } else { "subscriber" }),
-                    kind: name(*kind),
+                    kind: kind.name(),
                     count,
                     while_starting,
                 });
@@ -387,27 +386,4 @@ fn exceptions(journal: &Journal, verdict: &Verdict) -> Vec<ExceptionReport> {
         }
     }
     reports
-}
-
-/// What a kind of exception is called.
-pub const fn name(kind: ExceptionKind) -> &'static str {
-    match kind {
-        ExceptionKind::MissedDeadline => "missed transmission deadline",
-        ExceptionKind::ValidityExpired => "validity expired",
-        ExceptionKind::OmissionDegreeExceeded => "omission degree exceeded",
-        ExceptionKind::NothingPublished => "nothing published for the slot",
-        ExceptionKind::SlotSkipped => "slot skipped",
-        ExceptionKind::MissedEvent => "missed event",
-        ExceptionKind::ClockOutOfBound => "clock out of bound",
-        ExceptionKind::CalendarMismatch => "calendar mismatch",
-        ExceptionKind::QueueFull => "queue full",
-        ExceptionKind::Malformed => "malformed content",
-        ExceptionKind::TransmitQueueFull => "transmit queue full",
-        ExceptionKind::BindingRefused => "binding refused",
-        ExceptionKind::ConfigurationRefused => "configuration refused",
-        ExceptionKind::LayoutMismatch => "layout mismatch",
-        ExceptionKind::DuplicateTxNode => "duplicate TxNode",
-        ExceptionKind::BusOff => "bus-off",
-        ExceptionKind::EventReplaced => "event replaced before its slot",
-    }
 }

@@ -135,7 +135,7 @@ fn seen(
     }
     let told = verdict.ledger.told.iter().filter(|told| told.node == node && scale.shows(told.at));
     for told in told {
-        let text = format!("told: {}", report::name(told.kind));
+        let text = format!("told: {}", told.kind.name());
         let fits_behind = scale.x(told.at) + Label::new(&text, 11.0).width() + 10.0 < RIGHT;
         group = group.add(mark(scale.x(told.at), y, ERROR, &text, !fits_behind));
     }
