@@ -9,11 +9,11 @@ use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use serde::{Deserialize, Serialize};
 
-use crate::build;
+use crate::images;
 use crate::qemu;
 use crate::run::step;
 use crate::setup::{self, Tool};
-use crate::suite::Tally;
+use crate::tally::Tally;
 use crate::target::TargetWay;
 use crate::workspace::Workspace;
 
@@ -92,7 +92,7 @@ fn measure(workspace: &Workspace, way: &TargetWay) -> Result<Vec<Measurement>> {
     let limits: Vec<Limit> =
         serde_json::from_str(&text).with_context(|| format!("{} holds no limits", path.display()))?;
     let built = step("building the measurement", || {
-        build::images(way.cargo(workspace, "build"), qemu::PACKAGE, &[PROGRAM.to_owned()])
+        images::build(way.cargo(workspace, "build"), qemu::PACKAGE, &[PROGRAM.to_owned()])
     })?;
     let image = built.images.get(PROGRAM).context("the build gave no measurement")?;
     let printed = step("measuring in QEMU", || qemu::measure(image))?;

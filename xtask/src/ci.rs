@@ -8,15 +8,16 @@ use std::process::{Command, ExitCode};
 use anyhow::{Result, bail};
 
 use crate::bench;
-use crate::build;
 use crate::demo;
 use crate::fuzz;
+use crate::images;
 use crate::plan;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup;
 use crate::size;
-use crate::suite::{self, Tally};
+use crate::suite;
+use crate::tally::Tally;
 use crate::target::TargetWay;
 use crate::workspace::Workspace;
 
@@ -86,8 +87,8 @@ fn documentation(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 
 /// Warnings about code for the target are errors here.
 fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let mut warnings = build::firmware(workspace, way, None)?.warnings;
-    warnings += build::images(way.cargo(workspace, "build"), qemu::PACKAGE, &[])?.warnings;
+    let mut warnings = images::firmware(workspace, way, None, &[])?.warnings;
+    warnings += images::build(way.cargo(workspace, "build"), qemu::PACKAGE, &[])?.warnings;
     if warnings > 0 {
         bail!("{warnings} warnings about code for the target; see above");
     }
@@ -95,7 +96,7 @@ fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 }
 
 fn sizes(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let sizes = size::measure_all(&build::firmware(workspace, way, None)?.images)?;
+    let sizes = size::measure_all(&images::firmware(workspace, way, None, &[])?.images)?;
     print!("{}", size::table(&sizes));
     size::check(workspace, &sizes)?;
     Ok(Tally::default())

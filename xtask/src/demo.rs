@@ -7,7 +7,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Context as _, Result};
 use clap::Args;
 
-use crate::build;
+use crate::images;
 use crate::plan;
 use crate::run::{self, step};
 use crate::setup;
@@ -33,7 +33,7 @@ pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
     let (cluster, arguments) = take_cluster(arguments)?;
     let way = setup::prepare(&[])?;
     let plan = cluster.map(|file| plan::make(workspace, &file)).transpose()?;
-    let built = build::firmware(workspace, &way, plan.as_deref())?;
+    let built = images::firmware(workspace, &way, plan.as_deref(), &[])?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut program = workspace.cargo();
     program.args(["build", "--release", "--package", PACKAGE, "--bin", "demo"]);

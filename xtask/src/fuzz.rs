@@ -13,7 +13,7 @@ use clap::{Args, value_parser};
 
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
-use crate::suite::Tally;
+use crate::tally::Tally;
 use crate::workspace::Workspace;
 
 /// What to fuzz, and for how long.

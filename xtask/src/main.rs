@@ -8,12 +8,14 @@ mod ci;
 mod demo;
 mod experiment;
 mod fuzz;
+mod images;
 mod plan;
 mod qemu;
 mod run;
 mod setup;
 mod size;
 mod suite;
+mod tally;
 mod target;
 mod workspace;
 

@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::build::{self, Images};
+use crate::images::{self, Images};
 use crate::run::step;
-use crate::suite::Tally;
+use crate::tally::Tally;
 use crate::target::TargetWay;
 use crate::workspace::Workspace;
 
@@ -19,7 +19,7 @@ use crate::workspace::Workspace;
 pub(crate) fn test(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let directory = workspace.root().join(PACKAGE);
     let built =
-        step("building the QEMU tests", || build::images(way.cargo(workspace, "build"), PACKAGE, &[]))?;
+        step("building the QEMU tests", || images::build(way.cargo(workspace, "build"), PACKAGE, &[]))?;
     step("running the QEMU tests", || {
         let mut tally = Tally::default();
         for (name, image) in &built.images {

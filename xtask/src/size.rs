@@ -17,7 +17,7 @@ use clap::Args;
 use object::{Object as _, ObjectSection as _, SectionFlags, SectionKind, elf};
 use serde::{Deserialize, Serialize};
 
-use crate::build::{self, Images};
+use crate::images::{self, Images};
 use crate::run::step;
 use crate::setup;
 use crate::workspace::Workspace;
@@ -60,7 +60,7 @@ pub(crate) type Sizes = std::collections::BTreeMap<String, ImageSize>;
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
     let images = if options.files.is_empty() {
         let way = setup::prepare(&[])?;
-        build::firmware(workspace, &way, None)?.images
+        images::firmware(workspace, &way, None, &[])?.images
     } else {
         options.files.iter().map(|file| (file.display().to_string(), file.clone())).collect()
     };

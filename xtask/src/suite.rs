@@ -5,12 +5,13 @@ use std::process::ExitCode;
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 
-use crate::build;
 use crate::demo;
 use crate::fuzz;
+use crate::images;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
+use crate::tally::Tally;
 use crate::target::TargetWay;
 use crate::workspace::Workspace;
 
@@ -33,37 +34,6 @@ enum Part {
     Emulated,
     /// The core and RTIC in QEMU.
     Qemu,
-}
-
-/// What some tests came to.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub(crate) struct Tally {
-    /// Tests that passed.
-    pub(crate) passed: usize,
-    /// Tests that failed, and steps that could not be carried out.
-    pub(crate) failed: usize,
-}
-
-impl Tally {
-    /// Adds the outcome of a step; an error counts as one failure, and is shown.
-    pub(crate) fn add(&mut self, outcome: Result<Self>) {
-        match outcome {
-            Ok(other) => {
-                self.passed += other.passed;
-                self.failed += other.failed;
-            }
-            Err(error) => {
-                eprintln!("error: {error:#}");
-                self.failed += 1;
-            }
-        }
-    }
-
-    /// The line that tools read, and the exit code.
-    pub(crate) fn conclude(self) -> ExitCode {
-        println!("{} passed, {} failed", self.passed, self.failed);
-        if self.failed == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
-    }
 }
 
 /// Runs the tests that are asked for.
@@ -104,7 +74,7 @@ pub(crate) fn host(workspace: &Workspace) -> Result<Tally> {
 ///
 /// In the profile of the demo, for speed.
 pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let built = build::firmware(workspace, way, None)?;
+    let built = images::firmware(workspace, way, None, &[])?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast", "--release"]).args(demo::EMULATED_TESTS);
@@ -144,7 +114,6 @@ const IMAGES: &str = "COSMIC_IMAGES";
 #[cfg(test)]
 mod tests {
     use super::*;
-    use anyhow::anyhow;
     use std::process::Command;
 
     #[test]
@@ -163,13 +132,5 @@ mod tests {
         command.args(["-c", "echo 'test result: ok. 3 passed; 0 failed; 0 ignored'; exit 101"]);
         let tally = cargo_test(&mut command).unwrap();
         assert_eq!(tally, Tally { passed: 3, failed: 1 });
-    }
-
-    #[test]
-    fn steps_that_break_count_as_failed() {
-        let mut tally = Tally { passed: 2, failed: 0 };
-        tally.add(Ok(Tally { passed: 1, failed: 1 }));
-        tally.add(Err(anyhow!("this message belongs to a test")));
-        assert_eq!(tally, Tally { passed: 3, failed: 2 });
     }
 }

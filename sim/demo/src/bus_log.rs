@@ -222,3 +222,8 @@ pub fn is_soft(id: Id) -> bool {
     let soft = Priority::SOFT_MOST_URGENT..=Priority::SOFT_LEAST_URGENT;
     soft.contains(&id.priority()) && !id.etag().is_reserved()
 }
+
+/// The sequence number of the event in a frame: the first four bytes of its content.
+pub fn sequence_of(frame: &Frame) -> Option<u32> {
+    frame.payload.as_slice().first_chunk().map(|bytes| u32::from_be_bytes(*bytes))
+}

@@ -16,12 +16,12 @@ use cosmic_core::can::{Frame, Priority, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::time::{Duration, GlobalInstant};
 
-use crate::bus_log::Ending;
+use crate::bus_log::{Ending, sequence_of};
 use crate::clock::GlobalTimeline;
 use crate::journal::Journal;
-use crate::ledger::{Ledger, sequence_of};
+use crate::ledger::Ledger;
 use crate::span::{Span, Spread};
-use crate::verdict::Violation;
+use crate::violation::Violation;
 
 /// How late a task may see an instant that has come, besides the release jitter of the calendar: the
 /// longest time for which tasks and interrupts of lower priority lock what it needs.

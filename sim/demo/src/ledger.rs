@@ -10,7 +10,7 @@ use cosmic_core::can::{Etag, Frame, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::time::Duration;
 
-use crate::bus_log::Ending;
+use crate::bus_log::{Ending, sequence_of};
 use crate::example::{Channel, Class};
 use crate::journal::Journal;
 use crate::record::RecordKind;
@@ -189,9 +189,4 @@ impl Life {
     pub fn deliveries_to(&self, subscriber: TxNode) -> impl Iterator<Item = &Delivery> {
         self.deliveries.iter().filter(move |delivery| delivery.subscriber == subscriber)
     }
-}
-
-/// The sequence number of the event in a frame: the first four bytes of its content.
-pub fn sequence_of(frame: &Frame) -> Option<u32> {
-    frame.payload.as_slice().first_chunk().map(|bytes| u32::from_be_bytes(*bytes))
 }

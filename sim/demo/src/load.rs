@@ -15,7 +15,7 @@ use cosmic_core::time::{Duration, Instant};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use crate::ledger::sequence_of;
+use crate::bus_log::sequence_of;
 
 /// A share of the capacity of the bus, 0 to 1.
 #[derive(Clone, Copy, PartialEq, PartialOrd, Debug)]

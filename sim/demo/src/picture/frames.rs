@@ -6,10 +6,9 @@ use svg::node::element::Group;
 
 use super::canvas::{Anchor, Area, Label, Scale, cross, explained};
 use super::palette::{ERROR, HATCH, Look, PAPER};
-use crate::bus_log::{Attempt, Ending};
+use crate::bus_log::{Attempt, Ending, sequence_of};
 use crate::example::Cluster;
 use crate::journal::Journal;
-use crate::ledger::sequence_of;
 
 /// A lane for frames.
 #[derive(Clone, Copy, Debug)]

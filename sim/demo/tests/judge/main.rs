@@ -17,7 +17,8 @@ use cosmic_demo::picture;
 use cosmic_demo::record::{Record, RecordKind};
 use cosmic_demo::report::{Report, Settings};
 use cosmic_demo::table::{Style, Tables, WIDTH};
-use cosmic_demo::verdict::{Loss, Verdict, Violation};
+use cosmic_demo::verdict::Verdict;
+use cosmic_demo::violation::{Loss, Violation};
 use embedded_can::ExtendedId;
 use host_cluster::{Meddling, Run};
 

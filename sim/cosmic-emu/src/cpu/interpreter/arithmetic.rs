@@ -1,6 +1,6 @@
 //! Integer arithmetic of the core, as functions (ARMv7-M ARM, A2.2 and D6.4).
 
-use super::op::{Extend, Parallel, ParallelKind, Shape, Shift, Unary};
+use super::operands::{Extend, Parallel, ParallelKind, Shape, Shift, Unary};
 
 /// Sum, carry and overflow.
 #[inline]

@@ -2,7 +2,8 @@
 //!
 //! The FPv4-SP unit has no double precision arithmetic; it loads, stores and moves double registers.
 
-use super::op::{Address, FloatBinary, FloatUnary, Op};
+use super::op::Op;
+use super::operands::{Address, FloatBinary, FloatUnary};
 
 /// Decodes an instruction of the coprocessor space.
 pub(super) fn decode(first: u16, second: u16) -> Op {

@@ -1,9 +1,10 @@
 //! Decodes 32-bit Thumb instructions of the core (ARMv7-M ARM, A5.3).
 
-use super::decode::{alu, constant, shifted, sign_extend};
-use super::op::{
-    Accumulate, Address, Alu, Binary, CarryOut, Extend, Flags, Long, Op, Operand, Parallel, ParallelKind,
-    Reg, Shape, Shift, Unary, Width,
+use super::encoding::{alu, constant, shifted, sign_extend};
+use super::op::Op;
+use super::operands::{
+    Accumulate, Address, Alu, Binary, CarryOut, Extend, Flags, Long, Operand, Parallel, ParallelKind, Reg,
+    Shape, Shift, Unary, Width,
 };
 
 const PC: Reg = 15;

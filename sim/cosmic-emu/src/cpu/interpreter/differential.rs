@@ -7,7 +7,8 @@
 
 use std::collections::BTreeMap;
 
-use super::op::{Address, Op};
+use super::op::Op;
+use super::operands::Address;
 use super::*;
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;

@@ -1,7 +1,8 @@
 //! What instructions do.
 
 use super::arithmetic::{self, add_with_carry, dual, half};
-use super::op::{Accumulate, Alu, Binary, CarryOut, Flags, Long, Op, Operand, Reg, Shift};
+use super::op::Op;
+use super::operands::{Accumulate, Alu, Binary, CarryOut, Flags, Long, Operand, Reg, Shift};
 use super::{CONTROL_FPCA, Interpreter, LR, PC, float};
 use crate::cpu::{Fault, Stop};
 
@@ -257,7 +258,7 @@ impl Interpreter {
             }
             Binary::Parallel(op) => {
                 let (result, flags) = arithmetic::parallel(op, n, m);
-                if op.kind == super::op::ParallelKind::Plain {
+                if op.kind == super::operands::ParallelKind::Plain {
                     self.flags.ge = flags;
                 }
                 result

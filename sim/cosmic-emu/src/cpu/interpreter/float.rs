@@ -4,7 +4,7 @@
 //! rounding modes of FPSCR act on conversions to integers only. Flush-to-zero and default NaN mode are
 //! not modelled, nor are the cumulative exception flags.
 
-use super::op::{FloatBinary, FloatUnary};
+use super::operands::{FloatBinary, FloatUnary};
 
 /// FPSCR: N, Z, C, V.
 pub(super) const FLAGS: u32 = 0xF << 28;

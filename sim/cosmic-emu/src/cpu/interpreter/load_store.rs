@@ -1,6 +1,6 @@
 //! Loads and stores.
 
-use super::op::{Address, Reg, Width};
+use super::operands::{Address, Reg, Width};
 use super::{Interpreter, PC};
 use crate::cpu::{Access, Fault, Stop};
 

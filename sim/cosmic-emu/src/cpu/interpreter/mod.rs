@@ -12,12 +12,15 @@ mod common;
 mod decode;
 mod decode_float;
 mod decode_wide;
+mod encoding;
 mod execute;
 mod float;
 mod load_store;
 mod memory;
 mod op;
+mod operands;
 mod special;
+mod specialise;
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -133,7 +136,11 @@ struct Decoded {
 impl Decoded {
     fn new(first: u16, second: u16) -> Self {
         let size = if decode::is_wide(first) { 4 } else { 2 };
-        Self { op: common::specialise(decode::decode(first, second)), size, cycles: cycles(first, second) }
+        Self {
+            op: specialise::specialise(decode::decode(first, second)),
+            size,
+            cycles: cycles(first, second),
+        }
     }
 }
 

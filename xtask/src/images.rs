@@ -1,0 +1,146 @@
+//! Programs for the target: how cargo builds them, and where they are.
+
+use std::collections::BTreeMap;
+use std::io::IsTerminal as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Result, bail};
+use serde_json::Value;
+
+use crate::plan;
+use crate::run::{self, step};
+use crate::target::TargetWay;
+use crate::workspace::Workspace;
+
+/// The images of one package, by name.
+pub(crate) type Images = BTreeMap<String, PathBuf>;
+
+/// What a build gave.
+pub(crate) struct Built {
+    /// The programs, by name.
+    pub(crate) images: Images,
+    /// Warnings about our own packages.
+    pub(crate) warnings: usize,
+}
+
+impl Built {
+    /// Where the images are.
+    pub(crate) fn directory(&self) -> Option<&Path> {
+        self.images.values().next()?.parent()
+    }
+}
+
+/// Builds images of the example's firmware, from the plan in the repository or another one: all if none is
+/// named.
+pub(crate) fn firmware(
+    workspace: &Workspace,
+    way: &TargetWay,
+    plan: Option<&Path>,
+    names: &[String],
+) -> Result<Built> {
+    step("building the firmware images", || {
+        let mut command = way.cargo(workspace, "build");
+        command.envs(plan.map(|file| (plan::VARIABLE, file)));
+        build(command, "firmware", names)
+    })
+}
+
+/// Builds programs of a package by a call of [`TargetWay::cargo`]: all if none is named.
+///
+/// Cargo shows a warning about a package of the workspace again when it has nothing to compile, so that
+/// the count is that of the code as it stands.
+pub(crate) fn build(mut command: Command, package: &str, names: &[String]) -> Result<Built> {
+    command.args(["--package", package, "--profile", PROFILE]);
+    let in_colour = std::io::stderr().is_terminal();
+    command.arg(if in_colour {
+        "--message-format=json-diagnostic-rendered-ansi"
+    } else {
+        "--message-format=json"
+    });
+    if names.is_empty() {
+        command.arg("--bins");
+    }
+    for name in names {
+        command.args(["--bin", name]);
+    }
+    let mut built = Built { images: Images::new(), warnings: 0 };
+    let status = run::lines(&mut command, |line| match CargoLine::parse(line) {
+        Some(CargoLine::Image { name, path }) => {
+            built.images.insert(name, path);
+        }
+        Some(CargoLine::Diagnostic { text, is_warning }) => {
+            eprint!("{text}");
+            built.warnings += usize::from(is_warning);
+        }
+        None => {}
+    })?;
+    if !status.success() {
+        bail!("building `{package}` for the target failed; see above");
+    }
+    Ok(built)
+}
+
+/// What matters of a line of cargo's.
+#[derive(PartialEq, Eq, Debug)]
+enum CargoLine {
+    /// A program was built, or is up to date.
+    Image { name: String, path: PathBuf },
+    /// The compiler has something to say.
+    Diagnostic { text: String, is_warning: bool },
+}
+
+impl CargoLine {
+    fn parse(line: &str) -> Option<Self> {
+        let value: Value = serde_json::from_str(line).ok()?;
+        match value["reason"].as_str()? {
+            "compiler-artifact" => {
+                let path = value["executable"].as_str()?;
+                // A build script is an executable too, but of the host.
+                let is_program = value["target"]["kind"].as_array()?.iter().any(|kind| kind == "bin");
+                let name = value["target"]["name"].as_str()?;
+                is_program.then(|| Self::Image { name: name.into(), path: path.into() })
+            }
+            "compiler-message" => {
+                let message = &value["message"];
+                let text = message["rendered"].as_str()?.to_owned();
+                // The summary "1 warning emitted" has no place in the code.
+                let is_warning = message["level"] == "warning" && message["spans"] != serde_json::json!([]);
+                Some(Self::Diagnostic { text, is_warning })
+            }
+            _ => None,
+        }
+    }
+}
+
+/// The profile of what is flashed, in the workspace's manifest.
+pub(crate) const PROFILE: &str = "firmware";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn programs_are_found_in_cargos_messages() {
+        let line = r#"{"reason":"compiler-artifact","target":{"kind":["bin"],"name":"sensor"},
+            "executable":"/t/sensor"}"#;
+        let image = CargoLine::Image { name: "sensor".into(), path: "/t/sensor".into() };
+        assert_eq!(CargoLine::parse(line), Some(image));
+        let script = r#"{"reason":"compiler-artifact","target":{"kind":["custom-build"],"name":"b"},
+            "executable":"/t/build-script-build"}"#;
+        assert_eq!(CargoLine::parse(script), None);
+        assert_eq!(CargoLine::parse("no JSON"), None);
+    }
+
+    #[test]
+    fn warnings_are_told_from_their_summary() {
+        let warning = r#"{"reason":"compiler-message","message":{"rendered":"w","level":"warning",
+            "spans":[{"file_name":"a.rs"}]}}"#;
+        let expected = CargoLine::Diagnostic { text: "w".into(), is_warning: true };
+        assert_eq!(CargoLine::parse(warning), Some(expected));
+        let summary = r#"{"reason":"compiler-message","message":{"rendered":"1 warning emitted",
+            "level":"warning","spans":[]}}"#;
+        let expected = CargoLine::Diagnostic { text: "1 warning emitted".into(), is_warning: false };
+        assert_eq!(CargoLine::parse(summary), Some(expected));
+    }
+}
