@@ -11,7 +11,6 @@ use super::palette::{ERROR, FAINT_INK, GRID, INK, LANE, Look, MARK, PARTS};
 use super::{LEFT, RIGHT, axis};
 use crate::hard::Occurrence;
 use crate::journal::Journal;
-use crate::report;
 use crate::verdict::Verdict;
 
 /// The height of the panel for so many nodes.
