@@ -3,8 +3,9 @@
 use super::{Declaration, NodeView, Request, Services, TooMany};
 use crate::calendar::Calendar;
 use crate::can::{Frame, TxNode};
+use crate::event_layer::ExceptionKind;
 use crate::time::sync::{ClockEvent, ClockSync, SyncConfig, SyncConfigError, SyncCounters};
-use crate::time::{GlobalClock, Instant};
+use crate::time::{Duration, GlobalClock, Instant};
 
 /// Clock synchronisation alone: for a cluster whose ids and etags are all fixed.
 #[derive(Clone, Debug)]
@@ -14,7 +15,15 @@ pub struct ClockService {
     told: Option<GlobalClock>,
     inhibited: bool,
     last_event: Option<ClockEvent>,
+    tx_node: Option<TxNode>,
+    /// A frame with this node's own TxNode has arrived, and is to be told.
+    duplicate: bool,
+    /// The next one is told from then on.
+    tells_again_at: Instant,
 }
+
+/// Between two exceptions because of frames that bear this node's own TxNode.
+const DUPLICATES_TOLD_EVERY: Duration = Duration::from_millis(1_000);
 
 impl ClockService {
     /// Takes part with this TxNode and calendar; `config` says the rest.
@@ -30,7 +39,15 @@ impl ClockService {
         let config = SyncConfig { calendar_digest: calendar.digest(), ..config };
         let mut sync = ClockSync::new(config, now)?;
         sync.set_tx_node(tx_node);
-        Ok(Self { sync, told: None, inhibited: false, last_event: None })
+        Ok(Self {
+            sync,
+            told: None,
+            inhibited: false,
+            last_event: None,
+            tx_node,
+            duplicate: false,
+            tells_again_at: Instant::EPOCH,
+        })
     }
 
     /// The clock as of the last call.
@@ -50,34 +67,17 @@ impl ClockService {
 
     /// The node has been given its TxNode, or lost it.
     pub fn set_tx_node(&mut self, tx_node: Option<TxNode>) {
+        self.tx_node = tx_node;
         self.sync.set_tx_node(tx_node);
     }
 
-    /// The latest change of master, or what else happened to the clock; once.
-    pub fn take_event(&mut self) -> Option<ClockEvent> {
-        self.last_event.take()
-    }
-
-    /// What was sent, used, and dropped.
-    pub const fn counters(&self) -> &SyncCounters {
-        self.sync.counters()
-    }
-}
-
-impl Services for ClockService {
-    fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+    /// A frame of the clock synchronisation has arrived.
+    pub(super) fn on_sync_frame(&mut self, frame: &Frame, received_at: Instant) {
         self.sync.on_frame(frame, received_at);
     }
 
-    fn on_sent(&mut self, frame: &Frame, sent_at: Instant) {
-        self.sync.on_sent(frame, sent_at);
-    }
-
-    fn declare(&mut self, _: &Declaration) -> Result<(), TooMany> {
-        Ok(())
-    }
-
-    fn poll(&mut self, now: Instant, _: &NodeView) -> Option<Request> {
+    /// The clock's part of [`Services::poll`].
+    pub(super) fn poll_sync(&mut self, now: Instant) -> Option<Request> {
         if let Some(frame) = self.sync.poll(now) {
             return Some(Request::SendUrgent(frame, now + self.sync.frame_lifetime()));
         }
@@ -97,6 +97,42 @@ impl Services for ClockService {
         None
     }
 
+    /// The latest change of master, or what else happened to the clock; once.
+    pub fn take_event(&mut self) -> Option<ClockEvent> {
+        self.last_event.take()
+    }
+
+    /// What was sent, used, and dropped.
+    pub const fn counters(&self) -> &SyncCounters {
+        self.sync.counters()
+    }
+}
+
+impl Services for ClockService {
+    fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+        // No node hears itself, so another one uses this TxNode.
+        if self.tx_node == Some(frame.id.tx_node()) && received_at >= self.tells_again_at {
+            self.duplicate = true;
+            self.tells_again_at = received_at + DUPLICATES_TOLD_EVERY;
+        }
+        self.on_sync_frame(frame, received_at);
+    }
+
+    fn on_sent(&mut self, frame: &Frame, sent_at: Instant) {
+        self.sync.on_sent(frame, sent_at);
+    }
+
+    fn declare(&mut self, _: &Declaration) -> Result<(), TooMany> {
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, _: &NodeView) -> Option<Request> {
+        if core::mem::take(&mut self.duplicate) {
+            return Some(Request::Exception(None, ExceptionKind::DuplicateTxNode));
+        }
+        self.poll_sync(now)
+    }
+
     fn next_wakeup(&self) -> Instant {
         self.sync.next_wakeup()
     }
@@ -107,5 +143,42 @@ impl Services for ClockService {
 
     fn next_urgent_wakeup(&self) -> Instant {
         self.sync.next_wakeup()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calendar::Segment;
+    use crate::can::{BitRate, Etag, Id, Payload, Priority};
+
+    const SEGMENT: Segment = Segment {
+        bit_rate: BitRate::MAX,
+        accuracy: Duration::from_micros(50),
+        release_jitter: Duration::from_micros(20),
+    };
+    static CALENDAR: Calendar = Calendar::checked(SEGMENT, Duration::from_millis(10), &[]);
+
+    fn told(service: &mut ClockService, now: Instant) -> bool {
+        let view = NodeView::default();
+        let requests = core::iter::from_fn(|| service.poll(now, &view));
+        requests.into_iter().any(|it| it == Request::Exception(None, ExceptionKind::DuplicateTxNode))
+    }
+
+    /// A node whose ids are all fixed has no other service that would notice.
+    #[test]
+    fn a_second_node_with_this_tx_node_is_told_once_a_second() {
+        let me = TxNode::new(5).unwrap();
+        let now = Instant::EPOCH + Duration::from_millis(1);
+        let mut service = ClockService::new(SyncConfig::DEFAULT, &CALENDAR, Some(me), now).unwrap();
+        let frame = |tx_node| Frame::new(Id::new(Priority::LEAST, tx_node, Etag::BOUND_LAST), Payload::EMPTY);
+        service.on_frame(&frame(TxNode::new(6).unwrap()), now);
+        assert!(!told(&mut service, now));
+        service.on_frame(&frame(me), now);
+        assert!(told(&mut service, now));
+        service.on_frame(&frame(me), now + Duration::from_millis(999));
+        assert!(!told(&mut service, now + Duration::from_millis(999)));
+        service.on_frame(&frame(me), now + Duration::from_millis(1_000));
+        assert!(told(&mut service, now + Duration::from_millis(1_000)));
     }
 }

@@ -456,7 +456,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         self.idle_until = Instant::EPOCH;
         self.configuration.on_frame(received_at, frame);
         match frame.id.etag() {
-            Etag::SYNC | Etag::FOLLOW_UP => return self.clock.on_frame(frame, received_at),
+            Etag::SYNC | Etag::FOLLOW_UP => return self.clock.on_sync_frame(frame, received_at),
             Etag::NODE_STATUS => {
                 if let Some(event) = self.members.on_frame(received_at, frame) {
                     self.on_member(event, received_at);
@@ -516,7 +516,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         }
         self.declare_changed(now);
         let request = (self.poll_configuration(now))
-            .or_else(|| self.clock.poll(now, view))
+            .or_else(|| self.clock.poll_sync(now))
             .or_else(|| self.poll_binding(now))
             .or_else(|| self.poll_broker(now))
             .or_else(|| self.poll_membership(now, view));
@@ -533,9 +533,9 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         if self.idle_until > Instant::EPOCH { self.idle_until } else { self.due_at() }
     }
 
-    fn poll_urgent(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
+    fn poll_urgent(&mut self, now: Instant, _: &NodeView) -> Option<Request> {
         self.idle_until = Instant::EPOCH;
-        let request = self.clock.poll(now, view);
+        let request = self.clock.poll_sync(now);
         if let Some(event) = self.clock.take_event() {
             self.tell(News::Clock(event));
         }
