@@ -113,6 +113,7 @@ impl<
             ExceptionKind::SlotSkipped,
             ExceptionKind::MissedEvent,
             ExceptionKind::QueueFull,
+            ExceptionKind::ContradictoryEvent,
             silence,
         ];
         let counts = before.exceptional().into_iter().zip(after.exceptional());

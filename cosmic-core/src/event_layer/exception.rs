@@ -50,7 +50,8 @@ exception_kinds! {
     OmissionDegreeExceeded = "omission degree exceeded",
     /// Publisher: nothing fresh was there for the slot of a periodic channel.
     NothingPublished = "nothing published for the slot",
-    /// Publisher: a hard real-time event was not sent because its slot could not be used.
+    /// Both: a hard real-time event was not sent, or not delivered, because its slot could not be used to its
+    /// end.
     SlotSkipped = "slot skipped",
     /// Subscriber: no event arrived in the slot of a periodic channel.
     MissedEvent = "missed event",
@@ -76,6 +77,9 @@ exception_kinds! {
     BusOff = "bus-off",
     /// Publisher: a hard real-time event was replaced by a later one before its slot came.
     EventReplaced = "event replaced before its slot",
+    /// Subscriber: a second event with other content arrived in the same slot, and was dropped. Some other node
+    /// sends in it.
+    ContradictoryEvent = "contradictory event in one slot",
     /// Frames, outcomes or notices were lost inside this node, because a queue or a receive FIFO was full.
     InputLost = "input lost inside the node",
 }

@@ -27,6 +27,11 @@ pub struct Role {
     pub subscribes: bool,
 }
 
+impl Role {
+    /// Only subscribes.
+    const SUBSCRIBER: Self = Self { publishes: false, subscribes: true };
+}
+
 /// An event that has become visible at its delivery instant.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -63,7 +68,8 @@ pub struct Counters {
     pub unused: u32,
     /// Published events replaced by a newer one before their slot came.
     pub replaced: u32,
-    /// Slots in which nothing was sent, because the dispatcher came too late or the mailbox was not free.
+    /// Slots in which nothing was sent, because the dispatcher came too late or the mailbox was not free; and
+    /// those in which nothing was delivered, because the clock was set while they were open.
     pub skipped: u32,
     /// Slots passed over in silence, because the clock was out of bound or the calendar another one.
     pub inhibited: u32,
@@ -73,6 +79,9 @@ pub struct Counters {
     pub missed: u32,
     /// Further copies of an event, suppressed.
     pub duplicates: u32,
+    /// Further frames in a window whose content is not that of the first, suppressed: no retransmission, but
+    /// another node that sends in this slot.
+    pub contradictory: u32,
     /// Frames that arrived outside their window, dropped.
     pub untimely: u32,
     /// Delivered events that the event layer did not fetch before the next one.
@@ -91,14 +100,23 @@ impl Counters {
         delivered: 0,
         missed: 0,
         duplicates: 0,
+        contradictory: 0,
         untimely: 0,
         overrun: 0,
     };
 
     /// Those that the application hears of as exceptions: omitted, unused, skipped, missed, overrun,
-    /// inhibited.
-    pub(crate) const fn exceptional(&self) -> [u32; 6] {
-        [self.omitted, self.unused, self.skipped, self.missed, self.overrun, self.inhibited]
+    /// contradictory, inhibited.
+    pub(crate) const fn exceptional(&self) -> [u32; 7] {
+        [
+            self.omitted,
+            self.unused,
+            self.skipped,
+            self.missed,
+            self.overrun,
+            self.contradictory,
+            self.inhibited,
+        ]
     }
 }
 
@@ -165,6 +183,10 @@ pub(super) enum HardMailbox {
     Empty,
     Loaded(u8),
     Withdrawing(u8),
+    /// Loaded, but its buffer is gone.
+    Orphaned,
+    /// Being withdrawn, and counted already: what becomes of it concerns no buffer.
+    Abandoned,
 }
 
 /// The message buffers of a node, for up to `N` slots of the calendar; `N` is a power of two.
@@ -252,6 +274,14 @@ impl<const N: usize> HrtBuffers<N> {
     pub fn detach(&mut self, id: BufferId, role: Role) {
         let Some(place) = self.buffers.get_mut(usize::from(id.0)) else { return };
         let Some(buffer) = place else { return };
+        if role.publishes && buffer.role.publishes {
+            match self.mailbox {
+                HardMailbox::Loaded(loaded) if loaded == id.0 => self.mailbox = HardMailbox::Orphaned,
+                HardMailbox::Withdrawing(loaded) if loaded == id.0 => self.mailbox = HardMailbox::Abandoned,
+                _ => {}
+            }
+            self.revision = self.revision.wrapping_add(1);
+        }
         if role.publishes {
             buffer.role.publishes = false;
             buffer.fresh = false;
@@ -329,7 +359,9 @@ impl<const N: usize> HrtBuffers<N> {
         Some(self.buffer(id.0)?.id.etag())
     }
 
-    /// A frame has arrived. Says whether it belongs to a buffer of this node that subscribes to it.
+    /// A frame has arrived from the bus. Returns whether it belongs to a buffer of this node that subscribes
+    /// to it. Not to one in which this node publishes: no node hears itself, so such a frame is of another
+    /// node with the same TxNode, and the event-triggered half must see it.
     ///
     /// The first copy in a window is kept, until its delivery instant. At most one map look-up.
     #[inline]
@@ -339,7 +371,7 @@ impl<const N: usize> HrtBuffers<N> {
         }
         let Some(at) = self.by_id.get(frame.id.raw()) else { return false };
         match self.buffer_mut(at as u8) {
-            Some(buffer) if buffer.role.subscribes => {
+            Some(buffer) if buffer.role == Role::SUBSCRIBER => {
                 buffer.arrived(frame.payload, received_at);
                 true
             }
@@ -354,6 +386,10 @@ impl<const N: usize> HrtBuffers<N> {
             HardMailbox::Loaded(buffer) => (buffer, true),
             HardMailbox::Withdrawing(buffer) => (buffer, false),
             HardMailbox::Empty => return None,
+            HardMailbox::Orphaned | HardMailbox::Abandoned => {
+                self.mailbox = HardMailbox::Empty;
+                return None;
+            }
         };
         self.mailbox = HardMailbox::Empty;
         let buffer = self.buffer_mut(loaded)?;
@@ -424,9 +460,12 @@ impl Buffer {
     #[inline]
     fn arrived(&mut self, payload: Payload, received_at: Instant) {
         match self.arriving {
-            // A retransmission: some node had rejected the first copy.
-            Some((_, first)) if received_at.saturating_since(first) <= self.window => {
-                self.counters.duplicates = self.counters.duplicates.wrapping_add(1);
+            Some((kept, first)) if received_at.saturating_since(first) <= self.window => {
+                let counters = &mut self.counters;
+                // A retransmission, since some node had rejected the first copy; or no copy at all.
+                let count =
+                    if kept == payload { &mut counters.duplicates } else { &mut counters.contradictory };
+                *count = count.wrapping_add(1);
             }
             stale => {
                 if stale.is_some() {
@@ -435,6 +474,19 @@ impl Buffer {
                 self.arriving = Some((payload, received_at));
             }
         }
+    }
+
+    /// Gives up what a slot of this buffer was about, since the clock was set; `open`: it had begun. Returns
+    /// whether there was anything.
+    pub(super) fn give_up(&mut self, open: bool) -> bool {
+        let arrived = self.arriving.take().is_some();
+        if arrived {
+            self.counters.untimely = self.counters.untimely.wrapping_add(1);
+        }
+        if open && self.role.subscribes {
+            self.counters.skipped = self.counters.skipped.wrapping_add(1);
+        }
+        arrived || open
     }
 
     /// Makes what arrived since `opened` visible. Says whether there was anything.

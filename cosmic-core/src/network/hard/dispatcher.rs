@@ -3,7 +3,7 @@
 use super::buffers::{BufferId, HardMailbox, HrtBuffers, LocalSlot, MAILBOX};
 use crate::calendar::Calendar;
 use crate::can::Command;
-use crate::time::{Duration, GlobalInstant, Instant};
+use crate::time::{Duration, GlobalClock, GlobalInstant, Instant};
 
 /// What the task of the dispatcher is to do next.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -62,6 +62,10 @@ impl Next {
 /// conversion of the clock. So this work lies in the time before an instant, not between it and the frame.
 #[derive(Clone, Debug)]
 pub struct Dispatcher<const N: usize> {
+    /// The clock by which the occurrences were found.
+    clock: GlobalClock,
+    /// Slots from this place on are still to be started again, since the clock was set.
+    restarting: usize,
     accuracy: Duration,
     release_jitter: Duration,
     gap: Duration,
@@ -101,6 +105,8 @@ impl<const N: usize> Dispatcher<N> {
     pub const fn new(calendar: &Calendar) -> Self {
         let segment = calendar.segment();
         Self {
+            clock: GlobalClock::unsynchronised(),
+            restarting: N,
             accuracy: segment.accuracy,
             release_jitter: segment.release_jitter,
             gap: segment.gap(),
@@ -112,8 +118,10 @@ impl<const N: usize> Dispatcher<N> {
 
     /// Handles the earliest instant of the calendar that is due.
     pub fn poll(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
-        if self.revision != buffers.revision {
-            self.revise(now, buffers);
+        if self.revision != buffers.revision
+            && let Err(step) = self.revise(now, buffers)
+        {
+            return step;
         }
         if !self.next.is_known
             && let Err(step) = self.find_next(now, buffers)
@@ -139,7 +147,7 @@ impl<const N: usize> Dispatcher<N> {
         };
         let Some(slot) = buffers.slot(at) else { return Err(Step::Continue) };
         let wake = buffers.clock.to_local(due);
-        // An instant further away than a period, either way, is of a clock that has been set since.
+        // An instant further away than a period has been slept through.
         if wake.signed_since(now).unsigned_abs() > slot.longest_distance() {
             return Err(self.realign(at, now, buffers));
         }
@@ -272,8 +280,8 @@ impl<const N: usize> Dispatcher<N> {
         }
     }
 
-    /// Starts a slot again at its next occurrence, after the clock has been set. What was under way is
-    /// given up and counted.
+    /// Starts a slot again at its next occurrence, after more than a period has been slept through. What was
+    /// under way is given up and counted.
     #[cold]
     fn realign(&mut self, at: u8, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
         let today = buffers.clock.to_global(now);
@@ -290,13 +298,24 @@ impl<const N: usize> Dispatcher<N> {
         Step::Notify(BufferId(slot.buffer))
     }
 
-    /// Slots have come or gone, or the clock is another one: starts the new ones at their next occurrence.
-    /// O(N).
+    /// Slots have come or gone, or the clock is another one: starts the new slots at their next occurrence,
+    /// and all of them if the clock was set; or says what is to be done before that. O(N).
     #[inline(never)]
-    fn revise(&mut self, now: Instant, buffers: &HrtBuffers<N>) {
-        self.revision = buffers.revision;
+    fn revise(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Result<(), Step> {
         self.next.is_known = false;
+        if buffers.mailbox == HardMailbox::Orphaned {
+            buffers.mailbox = HardMailbox::Abandoned;
+            return Err(Step::Command(Command::Withdraw(MAILBOX)));
+        }
         let today = buffers.clock.to_global(now);
+        // No two clocks that are accurate enough differ by more than the gap.
+        let step = today.signed_since(self.clock.to_global(now)).unsigned_abs();
+        self.clock = buffers.clock;
+        if step > self.gap.as_ticks() {
+            self.restarting = 0;
+        }
+        self.restart(today, buffers)?;
+        self.revision = buffers.revision;
         for (at, slot) in buffers.slots.iter().enumerate() {
             match slot {
                 None => self.occurrences[at] = None,
@@ -304,6 +323,28 @@ impl<const N: usize> Dispatcher<N> {
                 Some(slot) => self.start(at, slot, today),
             }
         }
+        Ok(())
+    }
+
+    /// Starts the slots again that are left, as long as nothing must be said about one of them: their old
+    /// instants may lie far in the future, or in the past.
+    fn restart(&mut self, today: GlobalInstant, buffers: &mut HrtBuffers<N>) -> Result<(), Step> {
+        while self.restarting < N {
+            abandon(buffers)?;
+            let at = self.restarting;
+            self.restarting += 1;
+            let (slots, places, _) = buffers.parts_mut();
+            let Some(Some(slot)) = slots.get(at) else { continue };
+            let under_way = self.occurrences.get(at).copied().flatten();
+            let open = under_way.is_some_and(|o| o.attached == slot.attached && o.stage != Stage::Ready);
+            self.start(at, slot, today);
+            if let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer))
+                && buffer.give_up(open)
+            {
+                return Err(Step::Notify(BufferId(slot.buffer)));
+            }
+        }
+        Ok(())
     }
 
     /// Waits for the first occurrence of a slot whose ready instant is still to come.
@@ -320,5 +361,18 @@ impl<const N: usize> Dispatcher<N> {
     fn earliest(&self) -> Option<(u8, Occurrence)> {
         let waiting = (0..).zip(&self.occurrences).filter_map(|(at, occurrence)| Some((at, (*occurrence)?)));
         waiting.min_by_key(|(_, occurrence)| occurrence.due)
+    }
+}
+
+/// Withdraws a frame whose slot the clock has left. Even if it is sent, it is of no slot any more.
+fn abandon<const N: usize>(buffers: &mut HrtBuffers<N>) -> Result<(), Step> {
+    let (HardMailbox::Loaded(at) | HardMailbox::Withdrawing(at)) = buffers.mailbox else { return Ok(()) };
+    let requested = core::mem::replace(&mut buffers.mailbox, HardMailbox::Abandoned);
+    if let Some(buffer) = buffers.buffer_mut(at) {
+        buffer.counters.omitted = buffer.counters.omitted.wrapping_add(1);
+    }
+    match requested {
+        HardMailbox::Loaded(_) => Err(Step::Command(Command::Withdraw(MAILBOX))),
+        _ => Ok(()),
     }
 }
