@@ -112,7 +112,8 @@ impl SyncMessage {
 /// |---|---|
 /// | sequence (4 bits), bits 59..56 of the instant | bits 55..0 of the instant |
 ///
-/// Global time has 60 bits of nanoseconds on the wire: it restarts after 36 years.
+/// Global time has 60 bits of nanoseconds on the wire. It starts anew at [`FollowUp::END`], far below the instant
+/// at which these would wrap: a clock that has been led there never meets the wrap.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FollowUp {
@@ -123,6 +124,10 @@ pub struct FollowUp {
 }
 
 impl FollowUp {
+    /// No time scale goes on until here, 18 years after its origin: a master starts it anew before, and nobody
+    /// follows one that stands here or later.
+    pub const END: GlobalInstant = GlobalInstant::from_epoch(Duration::from_ticks(1 << 59));
+
     const INSTANT_MASK: u64 = (1 << 60) - 1;
 
     /// The frame that `sender` sends. Bits of the instant above the 60th are lost.

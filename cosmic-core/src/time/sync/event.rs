@@ -42,6 +42,14 @@ pub enum ClockEvent {
         /// The master.
         master: TxNode,
     },
+    /// A master told an instant at or after [`FollowUp::END`](crate::protocol::FollowUp::END), which no time
+    /// scale reaches. Nothing of it is used; told once for each such master in a row.
+    OutOfRange {
+        /// Its sender.
+        master: TxNode,
+    },
+    /// The time scale had come to its end. This node, its master, starts a new one at the origin.
+    Exhausted,
     /// The master has another calendar: this node must be silent in hard real-time slots.
     CalendarMismatch {
         /// The master.
@@ -74,6 +82,8 @@ pub struct SyncCounters {
     pub implausible: u32,
     /// Frames and pairs of a master that comes after the one that is in office.
     pub foreign: u32,
+    /// Pairs with an instant that no time scale reaches.
+    pub out_of_range: u32,
     /// Frames with the etag of a sync or follow-up that are none.
     pub malformed: u32,
     /// Events that the owner did not fetch in time.

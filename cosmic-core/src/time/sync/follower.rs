@@ -81,6 +81,9 @@ impl ClockSync {
     }
 
     fn on_pair(&mut self, pair: Pair) {
+        if pair.sent_at >= FollowUp::END {
+            return self.refuse(pair.from);
+        }
         match &self.role {
             Role::Listening { .. } => self.follow_anew(&pair),
             Role::Following(following) if following.master == pair.from => self.on_own_master(&pair),
@@ -101,6 +104,14 @@ impl ClockSync {
                     self.yield_to(&pair);
                 }
             }
+        }
+    }
+
+    /// No time scale stands there: whoever sent this is no master.
+    fn refuse(&mut self, master: TxNode) {
+        count(&mut self.counters.out_of_range);
+        if self.refused.replace(master) != Some(master) {
+            self.tell(ClockEvent::OutOfRange { master });
         }
     }
 

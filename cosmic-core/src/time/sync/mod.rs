@@ -42,6 +42,10 @@
 //! A pair that contradicts what is known is not used, counted, and reported. The third in a row is
 //! believed: the node starts anew, not synchronised for six periods.
 //!
+//! A pair with an instant at or after [`FollowUp::END`] is never believed, and its sender is no master. A master
+//! starts its time scale anew before it gets there, and nobody continues one that would: whatever instant
+//! somebody has told, global time never comes near the wrap of the frames that carry it.
+//!
 //! # Calling order
 //! Hand every received sync and follow-up frame to [`ClockSync::on_frame`] with its time-stamp, and every
 //! transmitted one to [`ClockSync::on_sent`]. After either, and at [`ClockSync::next_wakeup`], call
@@ -60,7 +64,7 @@ pub use event::{ClockEvent, SyncCounters};
 
 use crate::can::{Etag, Frame, TxNode};
 use crate::protocol::{FollowUp, Rank, SyncMessage, SyncSequence};
-use crate::time::{Duration, GlobalClock, Instant, Rate, Uncertainty};
+use crate::time::{Duration, GlobalClock, GlobalInstant, Instant, Rate, Uncertainty};
 use event::{Events, count};
 use follower::{Following, Pending};
 use master::Mastership;
@@ -101,6 +105,8 @@ pub struct ClockSync {
     last_sequence: SyncSequence,
     pending: Option<Pending>,
     calendar_mismatch: bool,
+    /// The last one whose pair was refused as out of range.
+    refused: Option<TxNode>,
     events: Events,
     counters: SyncCounters,
 }
@@ -137,6 +143,7 @@ impl ClockSync {
             last_sequence: SyncSequence::new(u8::MAX),
             pending: None,
             calendar_mismatch: false,
+            refused: None,
             events: Events::EMPTY,
             counters: SyncCounters {
                 sent: 0,
@@ -147,6 +154,7 @@ impl ClockSync {
                 duplicates: 0,
                 implausible: 0,
                 foreign: 0,
+                out_of_range: 0,
                 malformed: 0,
                 events_lost: 0,
             },
@@ -230,6 +238,7 @@ impl ClockSync {
             self.become_master(now);
         }
         let tx_node = self.tx_node?;
+        self.end_time_scale(now, tx_node);
         let Role::Master(mastership) = &mut self.role else { return None };
         if mastership.end_handover(now, tx_node) {
             self.clock = self.clock.with_uncertainty(Uncertainty::NONE);
@@ -333,7 +342,8 @@ impl ClockSync {
         let end = at + self.config.handover() + self.config.period;
         let limit = self.config.takeover_rate_error();
         let known = clock.rate_error(end).is_some_and(|error| error.fraction() <= limit)
-            && clock.accuracy(end) < SyncMessage::LARGEST_ACCURACY;
+            && clock.accuracy(end) < SyncMessage::LARGEST_ACCURACY
+            && clock.to_global(end) < FollowUp::END;
         let own = clock.rate().fraction().abs() <= self.config.master_rate_limit();
         (known && own).then_some(clock)
     }
@@ -346,10 +356,7 @@ impl ClockSync {
             }
             _ => None,
         };
-        let (clock, predecessor) = continued.unwrap_or_else(|| {
-            let reached = self.clock.to_global(now);
-            (GlobalClock::new(now, reached, Rate::ZERO, Uncertainty::COMPLETE), tx_node)
-        });
+        let (clock, predecessor) = continued.unwrap_or_else(|| (self.new_time_scale(now), tx_node));
         self.clock = clock;
         self.role =
             Role::Master(Mastership::new(now, self.last_sequence, predecessor, now + self.config.handover()));
@@ -359,6 +366,28 @@ impl ClockSync {
             self.tell(ClockEvent::CalendarMatch { master: tx_node });
         }
         self.tell(ClockEvent::BecameMaster { continued: continued.is_some() });
+    }
+
+    /// The clock of a time scale that begins now: where this node's clock stands, or at the origin if that is
+    /// too near to the end.
+    fn new_time_scale(&self, now: Instant) -> GlobalClock {
+        let reached = self.clock.to_global(now);
+        let ends = self.clock.to_global(now + self.config.handover()) >= FollowUp::END;
+        let begin = if ends { GlobalInstant::EPOCH } else { reached };
+        GlobalClock::new(now, begin, Rate::ZERO, Uncertainty::COMPLETE)
+    }
+
+    /// A master whose time scale comes to its end starts another one at the origin.
+    fn end_time_scale(&mut self, now: Instant, tx_node: TxNode) {
+        let Role::Master(mastership) = &self.role else { return };
+        // No frame that is given out now is sent later than that.
+        if self.clock.to_global(now + self.frame_lifetime()) < FollowUp::END {
+            return;
+        }
+        let last = mastership.sequence();
+        self.clock = GlobalClock::new(now, GlobalInstant::EPOCH, Rate::ZERO, Uncertainty::COMPLETE);
+        self.role = Role::Master(Mastership::new(now, last, tx_node, now + self.config.handover()));
+        self.tell(ClockEvent::Exhausted);
     }
 
     fn tell(&mut self, event: ClockEvent) {
