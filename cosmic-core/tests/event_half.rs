@@ -10,6 +10,8 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::network::hard::{Dispatcher, HrtBuffers, Step as HardStep};
 use cosmic_core::network::soft::RESERVED;
+use cosmic_core::services::{ClockService, Services};
+use cosmic_core::time::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
 
 const ME: TxNode = TxNode::new(1).unwrap();
@@ -72,7 +74,7 @@ fn fifo(depth: u8) -> Policy {
 
 /// Room for two hard slots, four channels, three subscriptions, four waiting events, two events of each
 /// class to be sent.
-type Half = EventHalf<2, 4, 3, 4, { 2 + RESERVED }, { 2 + RESERVED }>;
+type Half<S = ()> = EventHalf<2, 4, 3, 4, { 2 + RESERVED }, { 2 + RESERVED }, S>;
 type Buffers = HrtBuffers<2>;
 
 fn node() -> Half {
@@ -286,4 +288,52 @@ fn what_was_lost_below_is_told_and_counted() {
     assert_eq!(half.take_exception().map(|exception| exception.kind), Some(ExceptionKind::InputLost));
     assert_eq!(half.take_exception().map(|exception| exception.kind), Some(ExceptionKind::BusOff));
     assert_eq!(half.exceptions(ExceptionKind::InputLost), 3);
+}
+
+/// Carries out what the dispatcher and the half want at this instant; outcomes are not told.
+fn run<S: Services>(half: &mut Half<S>, dispatcher: &mut Dispatcher<2>, now: Instant) {
+    loop {
+        match dispatcher.poll(now, half.hard_mut()) {
+            HardStep::Notify(buffer) => half.on_input(&Input::Notice(buffer), now),
+            HardStep::SleepUntil(_) => break,
+            HardStep::Command(_) | HardStep::Continue => {}
+        }
+    }
+    while let Step::Command(_) = half.poll(now) {}
+}
+
+#[test]
+fn a_second_event_that_differs_is_told() {
+    let mut half = node();
+    let mut dispatcher = Dispatcher::new(&CALENDAR);
+    let subscription = half.subscribe(&hard(1), Filter::ALL, Policy::Latest).unwrap();
+    run(&mut half, &mut dispatcher, at(3_900));
+    for (microseconds, bytes) in [(4_150, [0, 1]), (4_250, [0, 1]), (4_350, [0, 2])] {
+        let id = Id::new(Priority::HARD, OTHER, Etag::new(101).unwrap());
+        let frame = Frame::new(id, Payload::new(&bytes).unwrap());
+        assert_eq!(receive(&frame, at(microseconds), half.hard_mut()), None);
+    }
+    run(&mut half, &mut dispatcher, at(4_600));
+    assert_eq!(half.next(&subscription).unwrap().content, 1);
+    let exception = half.take_exception().unwrap();
+    assert_eq!(exception.kind, ExceptionKind::ContradictoryEvent);
+    assert_eq!(exception.subject, Some(hard(1).subject()));
+    assert_eq!(half.take_exception(), None);
+}
+
+#[test]
+fn a_hard_event_under_the_nodes_own_name_is_told_and_reaches_no_subscriber() {
+    let service = ClockService::new(SyncConfig::DEFAULT, &CALENDAR, Some(ME), at(0)).unwrap();
+    let buffers = Buffers::new(GlobalClock::free_running());
+    let mut half: Half<ClockService> = Half::new(Some(ME), &CALENDAR, service, buffers);
+    let publication = half.announce(&hard(0)).unwrap();
+    let subscription = half.subscribe(&hard(0), Filter::ALL, Policy::Latest).unwrap();
+    let id = Id::new(Priority::HARD, ME, Etag::new(100).unwrap());
+    let frame = Frame::new(id, Payload::new(&[6, 6]).unwrap());
+    let input = receive(&frame, at(2_100), half.hard_mut()).expect("no buffer takes it");
+    half.on_input(&input, at(2_100));
+    while let Step::Command(_) = half.poll(at(2_100)) {}
+    assert_eq!(half.exceptions(ExceptionKind::DuplicateTxNode), 1);
+    assert!(half.next(&subscription).is_none());
+    let _ = half.cancel_publication(publication);
 }
