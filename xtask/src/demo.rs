@@ -6,6 +6,7 @@ use std::process::{Command, ExitCode};
 
 use anyhow::{Context as _, Result};
 use clap::Args;
+use cosmic_commands::demo::Options;
 
 use crate::images;
 use crate::plan;
@@ -16,23 +17,28 @@ use crate::workspace::Workspace;
 /// What the demo is called with.
 #[derive(Args)]
 #[command(disable_help_flag = true)]
-pub(crate) struct Options {
+pub(crate) struct Arguments {
     /// `--cluster FILE` plans another cluster and builds for it; all else is passed on to the demo, and
     /// `cargo xtask demo --help` lists it.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
-    pub(crate) arguments: Vec<String>,
+    pub(crate) all: Vec<String>,
 }
 
 /// Runs it. Its exit code is ours.
-pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode> {
-    run(workspace, &options.arguments).map(ExitCode::from)
+pub(crate) fn task(workspace: &Workspace, arguments: &Arguments) -> Result<ExitCode> {
+    run(workspace, &arguments.all).map(ExitCode::from)
 }
 
 /// Builds the firmware and the demo, starts it, and gives its exit code.
 pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
     let (cluster, arguments) = take_cluster(arguments)?;
-    let way = setup::prepare(&[])?;
+    // Before anything is installed or built.
+    if let Err(refusal) = Options::check(&arguments) {
+        refusal.print().context("writing to the terminal")?;
+        return Ok(u8::try_from(refusal.exit_code()).unwrap_or(1));
+    }
     let plan = cluster.map(|file| plan::make(workspace, &file)).transpose()?;
+    let way = setup::prepare(&[])?;
     let built = images::firmware(workspace, &way, plan.as_deref(), &[])?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut program = workspace.cargo();
@@ -91,5 +97,15 @@ mod tests {
         }
         assert!(take_cluster(&arguments(&["--cluster"])).is_err());
         assert_eq!(take_cluster(&[]).unwrap(), (None, Vec::new()));
+    }
+
+    /// This workspace has nothing that could be built.
+    #[test]
+    fn wrong_options_are_refused_before_anything_is_built() {
+        let workspace = Workspace::at("/nowhere/at/all");
+        for arguments in [["--errors", "2"], ["--load", "-1"], ["--seconds", "1e-9"], ["--colour", "no"]] {
+            assert_eq!(run(&workspace, &arguments.map(str::to_owned)).unwrap(), 2);
+        }
+        assert_eq!(run(&workspace, &["--help".to_owned()]).unwrap(), 0);
     }
 }

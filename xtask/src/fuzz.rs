@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 
 use anyhow::{Context as _, Result, bail};
-use clap::{Args, value_parser};
+use clap::Args;
+use cosmic_commands::number::within;
 
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
@@ -20,7 +21,7 @@ use crate::workspace::Workspace;
 #[derive(Args)]
 pub(crate) struct Options {
     /// For how many seconds each target runs.
-    #[arg(long, default_value_t = 10, value_parser = value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 10, value_parser = within(1..=1_000_000_u32), allow_negative_numbers = true)]
     seconds: u32,
 
     /// Only these; all if none is named.

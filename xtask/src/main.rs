@@ -2,6 +2,7 @@
 //!
 //! Everything that CI does is one of these, and runs the same on a desk.
 
+mod apt;
 mod bench;
 mod build;
 mod ci;
@@ -41,7 +42,7 @@ enum Task {
     /// Build the firmware images and print their sizes.
     Build(build::Options),
     /// Run the firmware on an emulated cluster and show what each channel did.
-    Demo(demo::Options),
+    Demo(demo::Arguments),
     /// Measure scheduling, clocks and speed on the simulated bus; see docs/experiments.md.
     Experiment(experiment::Options),
     /// Run all tests: on the host, in the emulated cluster, in QEMU.
@@ -101,6 +102,6 @@ mod tests {
         let Task::Demo(options) = Arguments::try_parse_from(arguments).unwrap().task else {
             panic!("another task");
         };
-        assert_eq!(options.arguments, ["--seconds", "5", "--help"]);
+        assert_eq!(options.all, ["--seconds", "5", "--help"]);
     }
 }

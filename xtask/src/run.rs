@@ -48,6 +48,26 @@ pub(crate) fn lines(command: &mut Command, mut each: impl FnMut(&str)) -> Result
     child.wait().with_context(|| format!("waiting for `{}`", line(command)))
 }
 
+/// Runs a command with the terminal as its output. Returns also what it wrote to standard error.
+pub(crate) fn with_complaints(command: &mut Command) -> Result<(ExitStatus, String)> {
+    let mut child = command
+        .stderr(Stdio::piped())
+        .spawn()
+        .with_context(|| format!("`{}` cannot be started", line(command)))?;
+    let mut complaints = String::new();
+    if let Some(stderr) = child.stderr.take() {
+        for line in BufReader::new(stderr).split(b'\n') {
+            let line = line.context("reading the program's complaints")?;
+            let line = String::from_utf8_lossy(&line);
+            eprintln!("{line}");
+            complaints += &line;
+            complaints.push('\n');
+        }
+    }
+    let status = child.wait().with_context(|| format!("waiting for `{}`", line(command)))?;
+    Ok((status, complaints))
+}
+
 /// The command as one would type it.
 pub(crate) fn line(command: &Command) -> String {
     let mut words = vec![command.get_program().to_string_lossy().into_owned()];

@@ -5,11 +5,12 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::{env, fs};
 
 use anyhow::{Context as _, Result, bail};
 
+use crate::apt;
 use crate::run::{self, step};
 use crate::target::{self, Choice, TRIPLE, TargetWay};
 
@@ -60,7 +61,7 @@ pub(crate) fn install_tools(tools: &[Tool]) -> Result<()> {
     }
     let packages: Vec<&str> = missing.iter().map(|tool| tool.package()).collect();
     let names: Vec<String> = missing.iter().map(Tool::to_string).collect();
-    step(&format!("installing {}", names.join(", ")), || install(&packages))?;
+    step(&format!("installing {}", names.join(", ")), || apt::install(&packages))?;
     match missing.iter().find(|tool| !tool.is_there()) {
         Some(tool) => {
             bail!("{tool} is not found although Debian's package `{}` is installed", tool.package())
@@ -88,7 +89,7 @@ fn target(choice: Choice) -> Result<TargetWay> {
     }
     if choice.allows_debian() {
         let missing = target::missing_for_debian();
-        step("installing Debian's compiler", || install(&missing)).with_context(|| {
+        step("installing Debian's compiler", || apt::install(&missing)).with_context(|| {
             format!("the compiler lacks {TRIPLE}, which `rustup target add {TRIPLE}` gets where it can")
         })?;
     }
@@ -166,89 +167,6 @@ fn is_libclang(name: &str) -> bool {
     is_versioned || rest.starts_with(".dylib")
 }
 
-/// How packages can be installed here.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-enum Installer {
-    /// As root.
-    Root,
-    /// By `sudo`, which asks for no password.
-    Sudo,
-    /// Only by the user.
-    Nobody,
-    /// This is no Debian.
-    NoApt,
-}
-
-impl Installer {
-    fn find() -> Self {
-        if target::find_program("apt-get").is_none() {
-            return Self::NoApt;
-        }
-        let id = Command::new("id").arg("-u").output();
-        if id.is_ok_and(|output| output.stdout.trim_ascii() == b"0") {
-            return Self::Root;
-        }
-        let sudo = Command::new("sudo")
-            .args(["--non-interactive", "true"])
-            .stdin(Stdio::null())
-            .stderr(Stdio::null())
-            .status();
-        if sudo.is_ok_and(|status| status.success()) { Self::Sudo } else { Self::Nobody }
-    }
-
-    /// A call of `apt-get`.
-    fn apt_get(self, arguments: &[&str]) -> Command {
-        let mut command = match self {
-            Self::Sudo => {
-                let mut command = Command::new("sudo");
-                command.args(["--non-interactive", "DEBIAN_FRONTEND=noninteractive", "apt-get"]);
-                command
-            }
-            _ => Command::new("apt-get"),
-        };
-        command.env("DEBIAN_FRONTEND", "noninteractive").args(arguments);
-        command
-    }
-}
-
-/// Installs Debian packages, or says what to type.
-fn install(packages: &[&str]) -> Result<()> {
-    let installer = Installer::find();
-    if let Some(advice) = advice(installer, packages) {
-        bail!(advice);
-    }
-    let mut words = vec!["install", "--yes", "--no-install-recommends"];
-    words.extend_from_slice(packages);
-    // The lists of a fresh machine are empty, and those of an old one name files that are gone.
-    let listed = packages.iter().all(|package| is_listed(package));
-    if listed && run::run(&mut installer.apt_get(&words)).is_ok() {
-        return Ok(());
-    }
-    run::run(&mut installer.apt_get(&["update"]))?;
-    run::run(&mut installer.apt_get(&words))
-}
-
-/// What to type where nothing may be installed.
-fn advice(installer: Installer, packages: &[&str]) -> Option<String> {
-    let packages = packages.join(" ");
-    match installer {
-        Installer::Root | Installer::Sudo => None,
-        Installer::Nobody => Some(format!(
-            "only root may install packages; type this, then call again: \
-             sudo apt-get update && sudo apt-get install --no-install-recommends {packages}"
-        )),
-        Installer::NoApt => Some(format!(
-            "there is no apt-get here; install what Debian calls `{packages}` in this system's own way"
-        )),
-    }
-}
-
-/// Do the package lists know it?
-fn is_listed(package: &str) -> bool {
-    let shown = Command::new("apt-cache").args(["show", package]).stderr(Stdio::null()).output();
-    shown.is_ok_and(|output| output.status.success() && !output.stdout.is_empty())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -273,23 +191,5 @@ mod tests {
         fs::create_dir(directory.join("clang")).unwrap();
         assert!(has_libclang(&directories));
         fs::remove_dir_all(directory).unwrap();
-    }
-
-    #[test]
-    fn who_may_not_install_is_told_what_to_type() {
-        assert_eq!(advice(Installer::Root, &["cmake"]), None);
-        assert_eq!(advice(Installer::Sudo, &["cmake"]), None);
-        let line = advice(Installer::Nobody, &["cmake", "make"]).unwrap();
-        assert!(line.ends_with("sudo apt-get install --no-install-recommends cmake make"), "{line}");
-        assert!(!line.contains('\n'));
-        assert!(advice(Installer::NoApt, &["cmake"]).unwrap().contains("`cmake`"));
-    }
-
-    #[test]
-    fn sudo_never_asks_for_a_password() {
-        let command = Installer::Sudo.apt_get(&["update"]);
-        let expected = "sudo --non-interactive DEBIAN_FRONTEND=noninteractive apt-get update";
-        assert_eq!(run::line(&command), expected);
-        assert_eq!(run::line(&Installer::Root.apt_get(&["update"])), "apt-get update");
     }
 }

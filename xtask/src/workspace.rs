@@ -5,32 +5,46 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 
 /// The repository, and the directory of build products.
+#[derive(Debug)]
 pub(crate) struct Workspace {
     root: PathBuf,
     target_dir: PathBuf,
 }
 
 impl Workspace {
-    /// Asks cargo.
+    /// Asks cargo for the workspace that this program was called for. That is not always the one it was built
+    /// in: clones that share a folder of build products share this program, too.
     pub(crate) fn find() -> Result<Self> {
-        // The manifest of this program is one level below the root.
-        let root = Path::new(env!("CARGO_MANIFEST_DIR"))
-            .parent()
-            .context("xtask does not stand in the workspace that it was built in; build it again")?;
+        // `cargo run` names the folder of the manifest; who starts the program by hand stands somewhere.
+        let folder = env::var_os("CARGO_MANIFEST_DIR").map_or_else(env::current_dir, |it| Ok(it.into()));
+        Self::around(&folder.context("the current directory cannot be read")?)
+    }
+
+    /// The workspace that a folder belongs to.
+    fn around(folder: &Path) -> Result<Self> {
         let output = Command::new(cargo())
             .args(["metadata", "--no-deps", "--format-version", "1"])
-            .current_dir(root)
+            .current_dir(folder)
             .output()
             .context("cargo cannot be started; is it on the PATH?")?;
+        let no_workspace = || format!("{} is in no workspace of cargo's", folder.display());
         let metadata: serde_json::Value =
-            serde_json::from_slice(&output.stdout).context("`cargo metadata` printed no JSON")?;
-        let target_dir = metadata["target_directory"]
-            .as_str()
-            .context("`cargo metadata` names no target directory; does `cargo build` work?")?;
-        Ok(Self { root: root.to_owned(), target_dir: target_dir.into() })
+            serde_json::from_slice(&output.stdout).with_context(no_workspace)?;
+        let path = |key: &str| metadata[key].as_str().map(PathBuf::from).with_context(no_workspace);
+        let (root, target_dir) = (path("workspace_root")?, path("target_directory")?);
+        if !root.join("xtask/Cargo.toml").is_file() {
+            bail!("{} is not the workspace of COSMIC; call this inside it", root.display());
+        }
+        Ok(Self { root, target_dir })
+    }
+
+    /// One that is not there, for tests of what must not touch it.
+    #[cfg(test)]
+    pub(crate) fn at(root: &str) -> Self {
+        Self { root: root.into(), target_dir: Path::new(root).join("target") }
     }
 
     /// The top of the repository.
@@ -54,4 +68,42 @@ impl Workspace {
 /// The cargo that started this program, or else the one on the PATH.
 fn cargo() -> OsString {
     env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    /// The least that cargo takes for a workspace with this program in it.
+    fn clone(at: &Path) {
+        for folder in ["xtask/src", "deep/below"] {
+            fs::create_dir_all(at.join(folder)).unwrap();
+        }
+        fs::write(at.join("Cargo.toml"), "[workspace]\nmembers = [\"xtask\"]\n").unwrap();
+        fs::write(at.join("xtask/Cargo.toml"), "[package]\nname = \"xtask\"\n").unwrap();
+        fs::write(at.join("xtask/src/main.rs"), "fn main() {}\n").unwrap();
+    }
+
+    #[test]
+    fn each_clone_is_its_own_workspace() {
+        let directory = env::temp_dir().join(format!("xtask-clones-{}", std::process::id()));
+        let _ = fs::remove_dir_all(&directory);
+        fs::create_dir_all(&directory).unwrap();
+        let directory = directory.canonicalize().unwrap();
+        for name in ["one", "other"] {
+            let root = directory.join(name);
+            clone(&root);
+            for folder in [&root, &root.join("xtask"), &root.join("deep/below")] {
+                assert_eq!(Workspace::around(folder).unwrap().root(), root);
+            }
+        }
+        let error = Workspace::around(&directory).unwrap_err().to_string();
+        assert_eq!(error, format!("{} is in no workspace of cargo's", directory.display()));
+        fs::remove_file(directory.join("one/xtask/Cargo.toml")).unwrap();
+        fs::write(directory.join("one/Cargo.toml"), "[workspace]\n").unwrap();
+        let error = Workspace::around(&directory.join("one")).unwrap_err().to_string();
+        assert!(error.contains("is not the workspace of COSMIC"), "{error}");
+        fs::remove_dir_all(directory).unwrap();
+    }
 }

@@ -6,7 +6,7 @@
 //! | [`load`] | the background load |
 //! | [`record`], [`bus_log`], [`clock`] | what can be observed: records of the nodes, frames on the wire, time |
 //! | [`journal`], [`ledger`] | what is left of a run, and the life of each event |
-//! | [`run`], [`output`], [`progress`] | the run itself, the files it leaves, what it says meanwhile |
+//! | [`run`], [`progress`] | the run itself, what it says meanwhile |
 //! | [`hard`], [`order`], [`verdict`], [`violation`] | the judgement: slots, order of deadlines, losses against exceptions |
 //! | [`report`], [`table`], [`picture`] | what is shown of it |
 //!
@@ -21,7 +21,6 @@ pub mod journal;
 pub mod ledger;
 pub mod load;
 pub mod order;
-pub mod output;
 pub mod picture;
 pub mod progress;
 pub mod record;

@@ -3,14 +3,14 @@
 //! Exit code 0: all as promised. 1: not. 2: it could not be run.
 
 use std::io::{self, IsTerminal as _, Write as _};
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
 use cosmic_bus::{Chance, VirtualInstant};
+use cosmic_commands::demo::Options;
+use cosmic_commands::output::{self, Pending};
 use cosmic_core::time::Duration;
 use cosmic_demo::load::Share;
-use cosmic_demo::output::{self, Pending};
 use cosmic_demo::picture;
 use cosmic_demo::progress::Progress;
 use cosmic_demo::report::{Report, Settings};
@@ -18,52 +18,9 @@ use cosmic_demo::run::{self, Plan};
 use cosmic_demo::table::{Style, Tables};
 use cosmic_demo::verdict::Verdict;
 
-/// Run three nodes and a background load on an emulated CAN bus, and judge what each event channel did
-#[derive(Parser, Debug)]
-#[command(
-    name = "demo",
-    bin_name = "cargo xtask demo",
-    override_usage = "cargo xtask demo [OPTIONS]",
-    max_term_width = 100,
-    after_help = NOTES
-)]
-struct Arguments {
-    /// Virtual seconds to run; the clocks need about half a second to agree
-    #[arg(long, value_name = "S", default_value = "5", value_parser = seconds)]
-    seconds: Duration,
-
-    /// Where all chance comes from: one seed, one run
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    seed: u64,
-
-    /// Load of the bus as a whole, background load included
-    #[arg(long, value_name = "PERCENT", default_value = "60", value_parser = percent)]
-    load: Share,
-
-    /// Chance that a frame on the wire is destroyed, 0 to 1
-    #[arg(long, value_name = "RATE", default_value = "0.001", value_parser = chance)]
-    errors: Chance,
-
-    /// Destroy N attempts in a row in one HRT slot; it is made for one
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    burst: u32,
-
-    /// Also write the report as JSON
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
-
-    /// Where to write bus.svg and candump.log
-    #[arg(long, value_name = "DIR", default_value = "target/demo")]
-    out: PathBuf,
-
-    /// Where the firmware images are
-    #[arg(long, value_name = "DIR", help_heading = "Given by cargo xtask")]
-    images: PathBuf,
-}
-
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
-    match demonstrate(&arguments) {
+    let options = Options::parse();
+    match demonstrate(&options) {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::from(NOT_AS_PROMISED),
         Err(error) => {
@@ -73,20 +30,20 @@ fn main() -> ExitCode {
     }
 }
 
-/// Runs, prints, writes. Was everything as promised?
-fn demonstrate(arguments: &Arguments) -> Result<bool, Box<dyn core::error::Error>> {
-    output::directory(&arguments.out)?;
+/// Runs, prints, writes. Returns whether everything was as promised.
+fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
+    output::directory(&options.out)?;
     let remedy = "name another directory with --out";
-    let mut log = Pending::create(arguments.out.join("candump.log"), remedy)?;
-    let mut image = Pending::create(arguments.out.join("bus.svg"), remedy)?;
+    let mut log = Pending::create(options.out.join("candump.log"), remedy)?;
+    let mut image = Pending::create(options.out.join("bus.svg"), remedy)?;
     let remedy = "name another file with --json";
-    let mut json = arguments.json.as_ref().map(|path| Pending::create(path, remedy)).transpose()?;
+    let mut json = options.json.as_ref().map(|path| Pending::create(path, remedy)).transpose()?;
 
-    let mut progress = Progress::new(VirtualInstant::from_ticks(0) + arguments.seconds);
-    let journal = run::run(&arguments.plan(), &mut log, |now| progress.reached(now))?;
+    let mut progress = Progress::new(VirtualInstant::from_ticks(0) + length(options));
+    let journal = run::run(&plan(options)?, &mut log, |now| progress.reached(now))?;
     eprintln!("demo: {}", progress.finish());
     let verdict = Verdict::of(&journal);
-    let settings = arguments.settings();
+    let settings = settings(options);
     let report = Report::of(settings, &journal, &verdict);
 
     image.write_all(picture::draw(&settings, &journal, &verdict).as_bytes())?;
@@ -107,76 +64,31 @@ fn demonstrate(arguments: &Arguments) -> Result<bool, Box<dyn core::error::Error
     Ok(report.passed)
 }
 
-impl Arguments {
-    fn plan(&self) -> Plan {
-        Plan {
-            images: self.images.clone(),
-            length: self.seconds,
-            seed: self.seed,
-            load: self.load,
-            errors: self.errors,
-            burst: self.burst,
-        }
-    }
+fn plan(options: &Options) -> Result<Plan, Box<dyn core::error::Error>> {
+    Ok(Plan {
+        images: options.images.clone(),
+        length: length(options),
+        seed: options.seed,
+        load: Share::percent(options.load).ok_or("--load must be from 0 to 100")?,
+        errors: Chance::new(options.errors).ok_or("--errors must be from 0 to 1")?,
+        burst: options.burst,
+    })
+}
 
-    fn settings(&self) -> Settings {
-        Settings {
-            seconds: self.seconds.as_ticks() as f64 / 1e9,
-            seed: self.seed,
-            load_percent: self.load.as_percent(),
-            error_rate: self.errors.get(),
-            burst: self.burst,
-        }
+fn settings(options: &Options) -> Settings {
+    Settings {
+        seconds: options.seconds.as_secs_f64(),
+        seed: options.seed,
+        load_percent: options.load,
+        error_rate: options.errors,
+        burst: options.burst,
     }
 }
 
-fn seconds(text: &str) -> Result<Duration, String> {
-    let longest = run::LONGEST.as_secs();
-    let value: f64 = text.parse().map_err(|_| "not a number of seconds".to_owned())?;
-    if !(value > 0.0 && value <= longest as f64) {
-        return Err(format!("must be over 0, and {longest} at most"));
-    }
-    Ok(Duration::from_ticks((value * 1e9) as u64))
+/// In virtual time; no run is longer than the command allows.
+fn length(options: &Options) -> Duration {
+    Duration::from_ticks(u64::try_from(options.seconds.as_nanos()).unwrap_or(u64::MAX))
 }
 
-fn percent(text: &str) -> Result<Share, String> {
-    let share = text.parse().ok().and_then(Share::percent);
-    share.ok_or_else(|| "must be a number from 0 to 100".to_owned())
-}
-
-fn chance(text: &str) -> Result<Chance, String> {
-    let chance = text.parse().ok().and_then(Chance::new);
-    chance.ok_or_else(|| "must be a number from 0 to 1".to_owned())
-}
-
-const NOTES: &str = "\
-The nodes are the images that are flashed. They start at different instants, and their crystals differ.
-Into DIR go a picture of the bus (bus.svg) and its log (candump.log, for can-utils).
-`cargo xtask demo --cluster FILE` plans the cluster of FILE first, and builds the images for it.
-
-Exit code 0: every hard real-time event within its fault hypothesis was delivered at its instant, and
-             every other loss was reported by an exception.
-          1: not so; it says what.
-          2: it could not be run.";
 const NOT_AS_PROMISED: u8 = 1;
 const NOT_RUN: u8 = 2;
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use clap::CommandFactory as _;
-
-    #[test]
-    fn the_command_line_is_consistent() {
-        Arguments::command().debug_assert();
-    }
-
-    #[test]
-    fn what_is_no_number_of_its_kind_is_refused() {
-        assert!(seconds("0").is_err() && seconds("-1").is_err() && seconds("nan").is_err());
-        assert!(seconds("1001").is_err() && seconds("x").is_err());
-        assert_eq!(seconds("0.5"), Ok(Duration::from_millis(500)));
-        assert!(percent("101").is_err() && percent("-1").is_err() && percent("nan").is_err());
-        assert!(chance("1.5").is_err() && chance("").is_err());
-    }
-}

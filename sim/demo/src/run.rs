@@ -340,8 +340,6 @@ const DIFFERENCES: [(Duration, i32); 3] = [
 ];
 /// Of the timer that counts local time (`boards/src/clock.rs`).
 const TICK: Duration = Duration::from_ticks(250);
-/// The longest run: after this, 32 bits of the timer have passed through.
-pub const LONGEST: Duration = Duration::from_secs(1_000);
 const NEAR: VirtualInstant = VirtualInstant::from_ticks(0);
 const FAR: VirtualInstant = VirtualInstant::from_ticks(1_000_000_000);
 /// In a second: as much as an internal oscillator may be off.

@@ -8,12 +8,13 @@
 //! reads it up to 250 ns late, which is no error of the clock.
 
 use crate::nodes::{EMPTY_CALENDAR, hardware_filters};
-use crate::output::{self, Verdict};
+use crate::output::{self, Results, Verdict};
 use crate::random::Random;
 use anyhow::{anyhow, ensure};
 use clap::Args;
 use cosmic_bus::cluster::{Access, Application, ClockErrors, Cluster, NodeConfig};
 use cosmic_bus::{Bus, FaultModel, StationId, VirtualInstant};
+use cosmic_commands::number::within;
 use cosmic_core::Subject;
 use cosmic_core::can::filter_banks::{Fifo, Wanted};
 use cosmic_core::can::{BitRate, Etag, TxNode};
@@ -30,21 +31,21 @@ use std::path::PathBuf;
 #[derive(Args, Clone, Serialize)]
 pub(crate) struct Options {
     /// Virtual seconds at each load.
-    #[arg(long, value_name = "S", default_value_t = 60, value_parser = clap::value_parser!(u64).range(5..=100_000))]
+    #[arg(long, value_name = "S", default_value_t = 60, value_parser = within(5..=100_000_u64))]
     seconds: u64,
     /// The largest deviation of an oscillator, in parts per million. The master has it upwards, the second
     /// node downwards, the others are drawn in between.
-    #[arg(long, value_name = "PPM", default_value_t = 50, value_parser = clap::value_parser!(u16).range(0..=200))]
+    #[arg(long, value_name = "PPM", default_value_t = 50, value_parser = within(0..=200_u16))]
     drift: u16,
     /// The span between two sync frames, in milliseconds.
-    #[arg(long, value_name = "MS", default_value_t = 100, value_parser = clap::value_parser!(u64).range(5..=1_000))]
+    #[arg(long, value_name = "MS", default_value_t = 100, value_parser = within(5..=1_000_u64))]
     period: u64,
     /// Nodes on the bus.
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u8).range(2..=100))]
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = within(2..=100_u8))]
     nodes: u8,
     /// Load of the bus by other frames, in percent; several are tried one after the other.
     #[arg(long, value_name = "PERCENT", value_delimiter = ',', default_value = "0,50,95")]
-    #[arg(value_parser = clap::value_parser!(u8).range(0..=98))]
+    #[arg(value_parser = within(0..=98_u8))]
     load: Vec<u8>,
     /// The seed of drifts, delays and traffic.
     #[arg(long, value_name = "S", default_value_t = 1)]
@@ -93,17 +94,13 @@ struct Report<'o> {
 
 /// Does what `experiment clock` is to do.
 pub(crate) fn run(options: &Options) -> anyhow::Result<Verdict> {
+    let results = Results::open(options.json.as_deref())?;
     let progress = output::progress(options.seconds * options.load.len() as u64, "virtual seconds");
     let at_load = |load: &u8| Measurement::new(options, *load)?.run(options, &progress);
     let loads = options.load.iter().map(at_load).collect::<anyhow::Result<_>>()?;
     progress.finish_and_clear();
     let report = Report { options, loads };
-    if options.json.as_deref() != Some("-".as_ref()) {
-        print!("{report}");
-    }
-    if let Some(path) = &options.json {
-        output::write_json(path, &report)?;
-    }
+    results.show(&report)?;
     let exceeded: u64 = report.loads.iter().map(|precision| precision.exceeded).sum();
     Ok(match exceeded {
         0 => Verdict::Holds,

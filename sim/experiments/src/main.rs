@@ -10,7 +10,7 @@ mod output;
 mod random;
 mod scale;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use std::process::ExitCode;
 
 /// Measure what COSMIC promises, on a simulated CAN bus.
@@ -24,6 +24,16 @@ struct Arguments {
     experiment: Experiment,
 }
 
+impl Arguments {
+    /// From the command line; what is wrong with it ends the program. A number below zero is no option, so that
+    /// its bounds are named.
+    fn read() -> Self {
+        let numbers = |it: clap::Command| it.mut_args(|argument| argument.allow_negative_numbers(true));
+        let matches = Self::command().mut_subcommands(numbers).get_matches();
+        Self::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+    }
+}
+
 #[derive(Subcommand)]
 enum Experiment {
     /// How far the bus can be loaded until the first deadline is missed: EDF against fixed priorities.
@@ -35,7 +45,7 @@ enum Experiment {
 }
 
 fn main() -> ExitCode {
-    let result = match &Arguments::parse().experiment {
+    let result = match &Arguments::read().experiment {
         Experiment::Edf(options) => edf::run(options),
         Experiment::Clock(options) => clock::run(options),
         Experiment::Scale(options) => scale::run(options),
@@ -56,7 +66,6 @@ fn main() -> ExitCode {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory as _;
 
     #[test]
     fn the_command_line_is_consistent() {

@@ -5,12 +5,13 @@
 //! fifths of the bus; non real-time events the rest, for every node always has one to send.
 
 use crate::nodes::hardware_filters;
-use crate::output::{self, Verdict};
+use crate::output::{self, Results, Verdict};
 use crate::random::Random;
 use anyhow::{Context as _, anyhow};
 use clap::{Args, ValueEnum};
 use cosmic_bus::cluster::{Access, Application, ClockErrors, Cluster, NodeConfig};
 use cosmic_bus::{Bus, FaultModel, StationId, TrafficClass};
+use cosmic_commands::number::within;
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::filter_banks::{Fifo, Wanted};
 use cosmic_core::can::{BitRate, Etag, TxNode};
@@ -34,10 +35,10 @@ use std::rc::Rc;
 #[derive(Args, Serialize)]
 pub(crate) struct Options {
     /// Nodes on the bus.
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u8).range(10..=127))]
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = within(10..=127_u8))]
     nodes: u8,
     /// Virtual seconds that are measured, after two in which the clocks synchronise.
-    #[arg(long, value_name = "S", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, value_name = "S", default_value_t = 20, value_parser = within(1..=100_000_u64))]
     seconds: u64,
     /// Services that every node takes part in.
     #[arg(long, value_enum, default_value_t = Extent::All)]
@@ -87,17 +88,13 @@ struct Frames {
 
 /// Does what `experiment scale` is to do.
 pub(crate) fn run(options: &Options) -> anyhow::Result<Verdict> {
+    let results = Results::open(options.json.as_deref())?;
     let fetched = Rc::new(Cell::new(0));
     let report = match options.services {
         Extent::Clock => measure(options, cluster(options, &fetched, clock_service)?, &fetched),
         Extent::All => measure(options, cluster(options, &fetched, all_services)?, &fetched),
     };
-    if options.json.as_deref() != Some("-".as_ref()) {
-        print!("{report}");
-    }
-    if let Some(path) = &options.json {
-        output::write_json(path, &report)?;
-    }
+    results.show(&report)?;
     let ratio = report.virtual_seconds_per_processor_second;
     Ok(match options.at_least.filter(|least| ratio < *least) {
         Some(least) => Verdict::Fails(format!("{ratio:.1} virtual seconds a second are fewer than {least}")),

@@ -46,9 +46,11 @@ fn it_holds_for_other_drifts_and_periods_too() {
 #[test]
 fn wrong_arguments_are_refused_with_a_remedy() {
     for (arguments, code, remedy) in [
-        ("--drift 201", 2, "0..=200"),
-        ("--load 0,99", 2, "0..=98"),
-        ("--nodes 1", 2, "2..=100"),
+        ("--drift 201", 2, "from 0 to 200"),
+        ("--drift -1", 2, "from 0 to 200"),
+        ("--period 1000 --seconds 5 --json /nowhere/at/all", 1, "/nowhere/at/all: cannot be written"),
+        ("--load 0,99", 2, "from 0 to 98"),
+        ("--nodes 1", 2, "from 2 to 100"),
         ("--period 1000 --seconds 5", 1, "choose more"),
     ] {
         let output = experiment(arguments);

@@ -73,15 +73,29 @@ fn the_picture_has_a_curve_for_each_policy() {
 }
 
 #[test]
+fn files_are_tried_before_the_work() {
+    // The work would fail, too.
+    let work = "--shortest-period 900 --longest-period 1000";
+    for option in ["--json", "--svg"] {
+        let output = experiment(&format!("{work} {option} /nowhere/at/all"));
+        assert_eq!(output.status.code(), Some(1));
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(message.starts_with("error: /nowhere/at/all: cannot be written"), "{message}");
+        assert!(message.contains(&format!("another file with {option}")), "{message}");
+    }
+}
+
+#[test]
 fn wrong_arguments_are_refused_with_a_remedy() {
     for (arguments, code, remedy) in [
-        ("--sets 0", 2, "1..=100000"),
-        ("--nodes 101", 2, "1..=100"),
+        ("--sets 0", 2, "from 1 to 100000"),
+        ("--nodes 101", 2, "from 1 to 100"),
         ("--shortest-period 20 --longest-period 10", 1, "the shortest first"),
         ("--shortest-period NaN", 1, "choose 1 to 10000 ms"),
         ("--shortest-period 900 --longest-period 1000", 1, "choose a smaller --longest-period"),
         ("--seconds=-1", 1, "choose 0.01 to 1000"),
-        ("--sets 1 --seconds 0.01 --json /nowhere/at/all", 1, "/nowhere/at/all cannot be written"),
+        ("--seconds -1", 1, "choose 0.01 to 1000"),
+        ("--sets -1", 2, "from 1 to 100000"),
     ] {
         let output = experiment(arguments);
         assert_eq!(output.status.code(), Some(code), "{arguments}");

@@ -34,11 +34,19 @@ fn the_least_speed_decides_the_exit_code() {
 }
 
 #[test]
+fn the_file_is_tried_before_the_work() {
+    let output = experiment("--nodes 10 --seconds 1 --json /nowhere/at/all");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8(output.stderr).unwrap().starts_with("error: /nowhere/at/all: cannot be"));
+    assert!(output.stdout.is_empty());
+}
+
+#[test]
 fn wrong_arguments_are_refused_with_a_remedy() {
     for (arguments, remedy) in [
-        ("--nodes 9", "10..=127"),
-        ("--nodes 128", "10..=127"),
-        ("--seconds 0", "1..=100000"),
+        ("--nodes 9", "from 10 to 127"),
+        ("--nodes 128", "from 10 to 127"),
+        ("--seconds 0", "from 1 to 100000"),
         ("--services none", "clock, all"),
     ] {
         let output = experiment(arguments);

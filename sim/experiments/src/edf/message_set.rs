@@ -4,6 +4,7 @@ use crate::random::Random;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
 use cosmic_bus::WireFrame;
+use cosmic_commands::number::within;
 use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::time::{Duration, Instant};
 use serde::Serialize;
@@ -12,7 +13,7 @@ use serde::Serialize;
 #[derive(Args, Clone, Debug, Serialize)]
 pub(super) struct Shape {
     /// Nodes on the bus.
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u8).range(1..=100))]
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = within(1..=100_u8))]
     pub(super) nodes: u8,
     /// The shortest period, in milliseconds. Periods are drawn log-uniformly.
     #[arg(long, value_name = "MS", default_value_t = 5.0)]

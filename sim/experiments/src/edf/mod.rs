@@ -13,9 +13,10 @@ mod picture;
 mod report;
 mod simulation;
 
-use crate::output::{self, Verdict};
+use crate::output::{self, Results, Sink, Verdict};
 use anyhow::ensure;
 use clap::Args;
+use cosmic_commands::number::within;
 use cosmic_core::can::{BitRate, Payload};
 use cosmic_core::time::{Duration, Instant};
 use message_set::{MessageSet, Shape, Timing};
@@ -32,7 +33,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 #[derive(Args, Serialize)]
 pub(crate) struct Options {
     /// How many random message sets.
-    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 50, value_parser = within(1..=100_000_u64))]
     sets: u64,
     /// The seed of the first set; each further set has the next.
     #[arg(long, value_name = "S", default_value_t = 1)]
@@ -79,15 +80,12 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<Verdict> {
         "--seconds {}: choose 0.01 to 1000",
         options.seconds
     );
+    let results = Results::open(options.json.as_deref())?;
+    let svg = Sink::open(options.svg.as_deref(), "name another file with --svg")?;
     let report = Report::new(options, measure(options)?);
-    if options.json.as_deref() != Some("-".as_ref()) {
-        print!("{report}");
-    }
-    if let Some(path) = &options.json {
-        output::write_json(path, &report)?;
-    }
-    if let Some(path) = &options.svg {
-        output::write(path, &picture::draw(&report))?;
+    results.show(&report)?;
+    if let Some(svg) = svg {
+        svg.write(&picture::draw(&report))?;
     }
     Ok(report.verdict())
 }

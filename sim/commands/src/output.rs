@@ -1,7 +1,7 @@
 //! Files that are there whole or not at all.
 //!
 //! Each is written under another name beside its place and renamed when everything is done. What is not
-//! finished is removed.
+//! finished is removed. What is no regular file, such as `/dev/null` or a pipe, is written where it stands.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write as _};
@@ -22,7 +22,8 @@ pub struct OutputError {
 #[derive(Debug)]
 pub struct Pending {
     path: PathBuf,
-    unfinished: PathBuf,
+    /// Its name until then, if it has one of its own.
+    unfinished: Option<PathBuf>,
     writer: Option<BufWriter<File>>,
 }
 
@@ -46,10 +47,13 @@ impl Pending {
         let Some(name) = path.file_name().filter(|_| !path.is_dir()) else {
             return Err(fail(&path, io::Error::from(io::ErrorKind::IsADirectory)));
         };
-        let mut unfinished = name.to_owned();
-        unfinished.push(".unfinished");
-        let unfinished = path.with_file_name(unfinished);
-        let file = File::create(&unfinished).map_err(|error| fail(&path, error))?;
+        let is_special = path.metadata().is_ok_and(|metadata| !metadata.is_file());
+        let unfinished = (!is_special).then(|| {
+            let mut unfinished = name.to_owned();
+            unfinished.push(".unfinished");
+            path.with_file_name(unfinished)
+        });
+        let file = File::create(unfinished.as_ref().unwrap_or(&path)).map_err(|error| fail(&path, error))?;
         Ok(Self { path, unfinished, writer: Some(BufWriter::new(file)) })
     }
 
@@ -65,7 +69,7 @@ impl Pending {
     pub fn finish(mut self) -> Result<PathBuf, OutputError> {
         let done = self.flush().and_then(|()| {
             self.writer = None;
-            fs::rename(&self.unfinished, &self.path)
+            self.unfinished.as_ref().map_or(Ok(()), |unfinished| fs::rename(unfinished, &self.path))
         });
         let remedy = "make room, or choose another place";
         done.map_err(|error| OutputError { path: self.path.clone(), error, remedy })?;
@@ -87,7 +91,9 @@ impl Drop for Pending {
     fn drop(&mut self) {
         self.writer = None;
         // After `finish` it is not there any more. There is nobody left to hear of another failure.
-        let _ = fs::remove_file(&self.unfinished);
+        if let Some(unfinished) = &self.unfinished {
+            let _ = fs::remove_file(unfinished);
+        }
     }
 }
 
@@ -97,7 +103,7 @@ mod tests {
 
     /// An empty directory of this test's own.
     fn fresh(name: &str) -> PathBuf {
-        let path = std::env::temp_dir().join(format!("cosmic-emu-output-{name}-{}", std::process::id()));
+        let path = std::env::temp_dir().join(format!("cosmic-output-{name}-{}", std::process::id()));
         let _ = fs::remove_dir_all(&path);
         directory(&path).unwrap();
         path
@@ -125,6 +131,17 @@ mod tests {
         assert_eq!(fs::read(at.join("a.txt")).unwrap(), b"before");
         assert_eq!(fs::read_dir(&at).unwrap().count(), 1);
         fs::remove_dir_all(at).unwrap();
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_device_is_written_and_not_replaced() {
+        use std::os::unix::fs::FileTypeExt as _;
+        let mut file = Pending::create("/dev/null", "").unwrap();
+        file.write_all(b"text").unwrap();
+        assert_eq!(file.unfinished, None);
+        file.finish().unwrap();
+        assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
     }
 
     #[test]

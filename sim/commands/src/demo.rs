@@ -1,0 +1,126 @@
+//! The options of the demo.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Parser;
+
+use crate::number::within;
+
+/// Run three nodes and a background load on an emulated CAN bus, and judge what each event channel did
+#[derive(Parser, Clone, PartialEq, Debug)]
+#[command(
+    name = "demo",
+    bin_name = "cargo xtask demo",
+    override_usage = "cargo xtask demo [OPTIONS]",
+    max_term_width = 100,
+    after_help = NOTES
+)]
+pub struct Options {
+    /// Virtual seconds to run; the clocks need about half a second to agree
+    #[arg(long, value_name = "S", default_value = "5", value_parser = seconds, allow_negative_numbers = true)]
+    pub seconds: Duration,
+
+    /// Where all chance comes from: one seed, one run
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = within(0..=u64::MAX), allow_negative_numbers = true)]
+    pub seed: u64,
+
+    /// Load of the bus as a whole, background load included
+    #[arg(long, value_name = "PERCENT", default_value = "60", value_parser = within(0.0..=100.0))]
+    #[arg(allow_negative_numbers = true)]
+    pub load: f64,
+
+    /// Chance that a frame on the wire is destroyed, 0 to 1
+    #[arg(long, value_name = "RATE", default_value = "0.001", value_parser = within(0.0..=1.0))]
+    #[arg(allow_negative_numbers = true)]
+    pub errors: f64,
+
+    /// Destroy N attempts in a row in one HRT slot; it is made for one
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = within(0..=1_000_000_u32), allow_negative_numbers = true)]
+    pub burst: u32,
+
+    /// Also write the report as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+
+    /// Where to write bus.svg and candump.log
+    #[arg(long, value_name = "DIR", default_value = "target/demo")]
+    pub out: PathBuf,
+
+    /// Where the firmware images are
+    #[arg(long, value_name = "DIR", help_heading = "Given by cargo xtask")]
+    pub images: PathBuf,
+}
+
+impl Options {
+    /// Checks what a user wrote, without `--images`, before these are built.
+    ///
+    /// # Errors
+    /// What clap says, or the help that was asked for.
+    pub fn check(arguments: &[String]) -> Result<(), clap::Error> {
+        let words = ["demo", "--images", "."].into_iter().chain(arguments.iter().map(String::as_str));
+        Self::try_parse_from(words).map(|_| ())
+    }
+}
+
+/// The shortest run: before, not every node has started its timer.
+const SHORTEST: Duration = Duration::from_millis(100);
+/// The longest run: after this, 32 bits of the timer that counts local time have passed through.
+const LONGEST: Duration = Duration::from_secs(1000);
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let (shortest, longest) = (SHORTEST.as_secs_f64(), LONGEST.as_secs_f64());
+    Ok(Duration::from_nanos((within(shortest..=longest)(text)? * 1e9) as u64))
+}
+
+const NOTES: &str = "\
+The nodes are the images that are flashed. They start at different instants, and their crystals differ.
+Into DIR go a picture of the bus (bus.svg) and its log (candump.log, for can-utils).
+`cargo xtask demo --cluster FILE` plans the cluster of FILE first, and builds the images for it.
+
+Exit code 0: every hard real-time event within its fault hypothesis was delivered at its instant, and
+             every other loss was reported by an exception.
+          1: not so; it says what.
+          2: it could not be run.";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Options::command().debug_assert();
+    }
+
+    fn refusal(arguments: &[&str]) -> String {
+        let arguments: Vec<_> = arguments.iter().map(|&word| word.to_owned()).collect();
+        Options::check(&arguments).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn what_is_no_number_of_its_kind_is_refused_with_its_bounds() {
+        for (option, wrong, bounds) in [
+            ("--errors", &["2", "-1", "-0.5", "nan", "x", ""][..], "must be from 0 to 1\n"),
+            ("--load", &["101", "-1", "inf", "x"], "must be from 0 to 100\n"),
+            ("--seconds", &["0", "-1", "1e-9", "0.09", "1001", "nan", "x"], "must be from 0.1 to 1000\n"),
+            ("--burst", &["-1", "1000001"], "must be from 0 to 1000000\n"),
+            ("--seed", &["-1"], "must be from 0 to 18446744073709551615\n"),
+        ] {
+            for value in wrong {
+                let message = refusal(&[option, value]);
+                assert!(message.contains(bounds) && message.contains(option), "{option} {value}: {message}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_right_is_taken() {
+        let right = ["--seconds", "0.5", "--errors", "1", "--load", "0", "--json", "report.json"];
+        let words = ["demo", "--images", "there"].into_iter().chain(right);
+        let options = Options::try_parse_from(words).unwrap();
+        assert_eq!(options.seconds, Duration::from_millis(500));
+        assert_eq!((options.errors, options.load), (1.0, 0.0));
+        assert_eq!(Options::check(&right.map(str::to_owned)).ok(), Some(()));
+    }
+}
