@@ -100,6 +100,7 @@ impl Segment {
 /// Why a calendar is none. The numbers are positions in the list of slots.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum CalendarError {
     /// The cycle is zero, or longer than [`Calendar::LONGEST_CYCLE`].
     Cycle,

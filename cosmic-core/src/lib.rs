@@ -18,6 +18,7 @@ pub mod calendar;
 pub mod can;
 pub mod event_half;
 pub mod event_layer;
+mod explain;
 pub mod membership;
 pub mod network;
 pub mod protocol;

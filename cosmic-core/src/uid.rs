@@ -11,7 +11,7 @@ use core::num::NonZeroU64;
 macro_rules! uid {
     ($(#[$doc:meta])* $name:ident) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub struct $name(NonZeroU64);
 
         impl $name {
@@ -52,6 +52,12 @@ macro_rules! uid {
         impl defmt::Format for $name {
             fn format(&self, f: defmt::Formatter<'_>) {
                 defmt::write!(f, "{=u64:016X}", self.get());
+            }
+        }
+
+        impl core::fmt::Debug for $name {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, concat!(stringify!($name), "({:016X})"), self.get())
             }
         }
 

@@ -185,7 +185,7 @@ fn events_that_wait_go_under_the_new_etag_of_their_channel() {
 }
 
 #[test]
-fn events_expire_with_the_etag_of_their_channel_wherever_they_are() {
+fn events_are_discarded_with_the_etag_of_their_channel_wherever_they_are() {
     // In the mailbox, on the way out of it, and in the queue.
     for withdrawing in [false, true] {
         let mut etch = Path::new(MAP);
@@ -195,14 +195,15 @@ fn events_expire_with_the_etag_of_their_channel_wherever_they_are() {
             assert_eq!(etch.poll(at(0)), Step::Command(Command::Withdraw(Mailbox::Soft)));
         }
         let _ = etch.submit_soft(at(0), soft(1, at(9_500), at(99_000))).unwrap();
-        etch.expire(at(5), |outgoing| outgoing.tag == Tag(1));
-        let expired = Exception { tag: Tag(1), kind: ExceptionKind::Expired };
+        etch.revoke(at(5), |outgoing| outgoing.tag == Tag(1));
+        let lost = Exception { tag: Tag(1), kind: ExceptionKind::IdentifierLost };
         if !withdrawing {
             assert_eq!(etch.poll(at(5)), Step::Command(Command::Withdraw(Mailbox::Soft)));
         }
-        assert_eq!(etch.poll(at(5)), Step::Exception(expired));
-        assert_eq!(etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(6)).exception, Some(expired));
-        assert_eq!((etch.len(), etch.counters().expired), (usize::from(withdrawing), 2));
+        assert_eq!(etch.poll(at(5)), Step::Exception(lost));
+        assert_eq!(etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(6)).exception, Some(lost));
+        assert_eq!((etch.len(), etch.counters().identifier_lost), (usize::from(withdrawing), 2));
+        assert_eq!(etch.counters().expired, 0);
     }
 }
 

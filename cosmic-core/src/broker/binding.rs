@@ -31,6 +31,7 @@ impl BindingTiming {
 /// What the node is told.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum BindingEvent {
     /// The channel of this subject has this etag.
     Bound {

@@ -62,6 +62,7 @@ impl ConfigurationTiming {
 /// What the node is told.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum ConfigurationEvent {
     /// The node may send with this id.
     Configured(TxNode),

@@ -119,6 +119,7 @@ impl FilterBank {
 /// Why there is no plan.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum FilterBanksError {
     /// More is wanted than the plan has room for: raise the capacity `WANTED`.
     TooManyWanted,

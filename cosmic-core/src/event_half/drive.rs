@@ -112,7 +112,7 @@ impl<
             ExceptionKind::NothingPublished,
             ExceptionKind::SlotSkipped,
             ExceptionKind::MissedEvent,
-            ExceptionKind::QueueFull,
+            ExceptionKind::EventOverwritten,
             ExceptionKind::ContradictoryEvent,
             silence,
         ];
@@ -196,7 +196,7 @@ impl<
             Request::TxNode(tx_node) => {
                 if self.own.get().is_some_and(|former| Some(former) != tx_node) {
                     // The frames that wait bear an id that is another node's.
-                    self.etch.expire(now, |outgoing| outgoing.tag != SERVICES);
+                    self.etch.revoke(now, |outgoing| outgoing.tag != SERVICES);
                 }
                 self.own = Own::new(tx_node);
                 self.layer.set_tx_node(tx_node);
@@ -213,7 +213,7 @@ impl<
                 self.layer.unbind(subject);
                 if let Some(tag) = self.layer.tag_of(subject) {
                     // Under the old etag they would be another channel's.
-                    self.etch.expire(now, |outgoing| outgoing.tag == tag);
+                    self.etch.revoke(now, |outgoing| outgoing.tag == tag);
                 }
                 Ok(None)
             }

@@ -251,6 +251,10 @@ impl<
                 self.layer.note_departure(exception.tag, false);
                 ExceptionKind::ValidityExpired
             }
+            soft::ExceptionKind::IdentifierLost => {
+                self.layer.note_departure(exception.tag, false);
+                ExceptionKind::IdentifierLost
+            }
         };
         self.raise(self.layer.subject(exception.tag), kind, at);
     }

@@ -21,6 +21,7 @@ macro_rules! exception_kinds {
         /// What did not happen as it was promised.
         #[derive(Clone, Copy, PartialEq, Eq, Debug)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[non_exhaustive]
         pub enum ExceptionKind {
             $($(#[$doc])+ $kind,)+
         }
@@ -43,8 +44,7 @@ macro_rules! exception_kinds {
 exception_kinds! {
     /// Publisher: an event has not been sent by its transmission deadline. It is still sent.
     MissedDeadline = "missed transmission deadline",
-    /// Publisher: an event expired before it was sent, and has been discarded; so are events that wait while
-    /// the channel loses its etag, or the node its TxNode.
+    /// Publisher: an event expired before it was sent, and has been discarded.
     ValidityExpired = "validity expired",
     /// Publisher: more faults than the omission degree; a hard real-time event was not sent in its slot.
     OmissionDegreeExceeded = "omission degree exceeded",
@@ -82,6 +82,10 @@ exception_kinds! {
     ContradictoryEvent = "contradictory event in one slot",
     /// Frames, outcomes or notices were lost inside this node, because a queue or a receive FIFO was full.
     InputLost = "input lost inside the node",
+    /// Subscriber: a hard real-time event was overwritten by the next one before the node fetched it.
+    EventOverwritten = "event overwritten before it was fetched",
+    /// Publisher: an event that waited was discarded, because its channel lost its etag or the node its TxNode.
+    IdentifierLost = "identifier lost",
 }
 
 impl ExceptionKind {
@@ -135,5 +139,19 @@ impl<const N: usize> Exceptions<N> {
 
     pub(crate) const fn dropped(&self) -> u32 {
         self.dropped
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_kind_has_its_number_its_name_and_one_meaning() {
+        for (number, kind) in ExceptionKind::ALL.iter().enumerate() {
+            assert_eq!(*kind as usize, number);
+            let mut others = ExceptionKind::ALL.iter().filter(|other| *other != kind);
+            assert!(others.all(|other| other.name() != kind.name() && other.meaning() != kind.meaning()));
+        }
     }
 }

@@ -19,6 +19,7 @@ use core::task::Waker;
 /// Why a channel cannot be announced.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum AnnounceError {
     /// The node knows as many channels as it has room for: make `CHANNELS` larger.
     TooManyChannels,
@@ -38,6 +39,7 @@ pub enum AnnounceError {
 /// Why a channel cannot be subscribed to.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum SubscribeError {
     /// As for announcing.
     Channel(AnnounceError),

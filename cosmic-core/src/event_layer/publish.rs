@@ -13,6 +13,7 @@ use crate::time::Instant;
 /// Why an event was not published. It has been counted.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum PublishError {
     /// The publication has been cancelled.
     NotAnnounced,

@@ -7,6 +7,7 @@ use crate::time::Instant;
 /// The interest in one side of a channel has begun or ended.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum InterestEvent {
     /// The first node has joined this side of the channel.
     Begun {

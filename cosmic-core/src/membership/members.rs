@@ -7,6 +7,7 @@ use crate::time::{Duration, Instant};
 /// A node has come or gone.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum MemberEvent {
     /// A status of a node that was not known, or had left.
     Joined(TxNode),

@@ -58,6 +58,7 @@ const DEFAULT_LEASE: Lease = Lease::new(Duration::from_secs(10)).expect("ten sec
 /// Something that the application may want to know of the cluster.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum News {
     /// This node has its TxNode, or has lost it.
     Configuration(ConfigurationEvent),

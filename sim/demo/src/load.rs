@@ -180,6 +180,7 @@ impl Background {
                 self.log.expired += 1;
                 self.queued = self.queued.saturating_sub(1);
             }
+            kind => unreachable!("nothing here loses its identifier: {kind:?}"),
         }
     }
 

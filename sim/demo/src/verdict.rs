@@ -221,7 +221,8 @@ impl Books<'_> {
             };
             let lost = sent.filter(heard).filter(|life| life.deliveries_to(*node).next().is_none()).count();
             let told = |kind| self.ledger.count(*node, channel.etag, kind);
-            let reported = told(ExceptionKind::QueueFull) + told(ExceptionKind::Malformed);
+            let kinds = [ExceptionKind::QueueFull, ExceptionKind::EventOverwritten, ExceptionKind::Malformed];
+            let reported: usize = kinds.into_iter().map(told).sum();
             if lost > reported {
                 let (etag, node, what) = (channel.etag, *node, Loss::Undelivered);
                 violations.push(Violation::Unreported { etag, node, what, lost, reported });

@@ -48,6 +48,7 @@ pub enum Role {
 /// What the node that hosts the broker is told.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum BrokerEvent {
     /// The role has changed.
     Became(Role),

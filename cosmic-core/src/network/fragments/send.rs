@@ -6,6 +6,7 @@ use crate::can::Payload;
 /// Why a message was not accepted.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum StartError {
     /// The message before it is still being sent; try again when [`Fragmenter::is_idle`].
     Busy,

@@ -134,6 +134,7 @@ pub struct Attach<'c> {
 /// Why a node cannot take part in a slot.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum AttachError {
     /// All buffers, or all places for slots, are in use: make `N` larger.
     Full,

@@ -1,6 +1,6 @@
 //! The event-triggered channel handler: earliest deadline first by the priority field.
 
-use super::lane::{Attended, Departure, Entry, Exception, Lane, Outgoing, RESERVED, Tag};
+use super::lane::{Attended, Departure, Entry, Exception, Lane, Outgoing, RESERVED, Report, Tag};
 use crate::can::{BitRate, Command, Etag, Frame, Mailbox, Outcome, Payload, Priority};
 use crate::time::{Duration, Instant};
 use core::num::NonZeroU32;
@@ -95,8 +95,14 @@ pub struct EtchCounters {
     pub missed: u32,
     /// Events discarded because they had expired.
     pub expired: u32,
+    /// Events discarded because their channel lost its etag, or the node its TxNode.
+    pub identifier_lost: u32,
     /// Frames withdrawn to be sent later or under a more urgent identifier.
     pub withdrawn: u32,
+}
+
+impl EtchCounters {
+    const NONE: Self = Self { sent: 0, refused: 0, missed: 0, expired: 0, identifier_lost: 0, withdrawn: 0 };
 }
 
 /// The soft and non real-time path of a node, with room for `SOFT` and `NRT` events, of which
@@ -126,7 +132,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
             soft: Lane::new(Mailbox::Soft),
             non_real_time: Lane::new(Mailbox::NonRealTime),
             promotion_at: Instant::FAR_FUTURE,
-            counters: EtchCounters { sent: 0, refused: 0, missed: 0, expired: 0, withdrawn: 0 },
+            counters: EtchCounters::NONE,
         }
     }
 
@@ -157,7 +163,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     /// [`Full`]; the event is counted and not sent.
     #[inline]
     pub fn submit_soft(&mut self, now: Instant, event: Outgoing) -> Result<Option<Command>, Full> {
-        self.submit_soft_entry(now, event, false)
+        self.submit_soft_entry(now, event, Report::Deadline)
     }
 
     /// As [`submit_soft`](Self::submit_soft), with the most urgent priority from the start and nobody to
@@ -173,7 +179,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         expires_at: Instant,
     ) -> Result<Option<Command>, Full> {
         let outgoing = Outgoing { tag, frame, deadline: now, expires_at };
-        self.submit_soft_entry(now, outgoing, true)
+        self.submit_soft_entry(now, outgoing, Report::Expiry)
     }
 
     #[inline]
@@ -181,29 +187,29 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         &mut self,
         now: Instant,
         event: Outgoing,
-        reported: bool,
+        report: Report,
     ) -> Result<Option<Command>, Full> {
         let key = event.deadline.since_epoch().as_ticks();
         if self.soft.is_idle() && now < event.expires_at {
-            self.soft.load_directly(key, Entry { outgoing: event, reported });
+            self.soft.load_directly(key, Entry { outgoing: event, report });
             return Ok(Some(self.load_soft(now, &event)));
         }
         let Outgoing { tag, frame, deadline, expires_at } = event;
-        self.queue_soft((tag, reported), frame, deadline, expires_at)
+        self.queue_soft((tag, report), frame, deadline, expires_at)
     }
 
     /// In parts, so that an event that is loaded at once need not be put together in memory.
     #[inline(never)]
     fn queue_soft(
         &mut self,
-        (tag, reported): (Tag, bool),
+        (tag, report): (Tag, Report),
         frame: Frame,
         deadline: Instant,
         expires_at: Instant,
     ) -> Result<Option<Command>, Full> {
         let key = deadline.since_epoch().as_ticks();
         let outgoing = Outgoing { tag, frame, deadline, expires_at };
-        let pushed = self.soft.push(key, Entry { outgoing, reported }, tag.reserve());
+        let pushed = self.soft.push(key, Entry { outgoing, report }, tag.reserve());
         pushed.map(|()| None).map_err(|_| self.refuse())
     }
 
@@ -218,10 +224,10 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     pub fn submit_non_real_time(&mut self, now: Instant, event: Outgoing) -> Result<Option<Command>, Full> {
         let key = u64::from(event.frame.id.priority().get());
         if self.non_real_time.is_idle() && now < event.expires_at {
-            self.non_real_time.load_directly(key, Entry { outgoing: event, reported: false });
+            self.non_real_time.load_directly(key, Entry { outgoing: event, report: Report::Deadline });
             return Ok(Some(Command::Load(Mailbox::NonRealTime, event.frame)));
         }
-        let entry = Entry { outgoing: event, reported: false };
+        let entry = Entry { outgoing: event, report: Report::Deadline };
         self.non_real_time.push(key, entry, event.tag.reserve()).map(|()| None).map_err(|_| self.refuse())
     }
 
@@ -254,10 +260,11 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         soft.or(non_real_time)
     }
 
-    /// The events that meet the condition expire now; that is reported as for all others. O(SOFT + NRT).
-    pub fn expire(&mut self, now: Instant, which: impl Fn(&Outgoing) -> bool) {
-        self.soft.expire(now, &which);
-        self.non_real_time.expire(now, &which);
+    /// The identifiers of the events that meet the condition belong to somebody else now: they are discarded,
+    /// and that is reported. One that is on the wire already is sent. O(SOFT + NRT).
+    pub fn revoke(&mut self, now: Instant, which: impl Fn(&Outgoing) -> bool) {
+        self.soft.revoke(now, &which);
+        self.non_real_time.revoke(now, &which);
     }
 
     /// A mailbox of this path has become empty.
@@ -342,6 +349,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         let count = match exception.kind {
             super::ExceptionKind::MissedDeadline => &mut self.counters.missed,
             super::ExceptionKind::Expired => &mut self.counters.expired,
+            super::ExceptionKind::IdentifierLost => &mut self.counters.identifier_lost,
         };
         *count = count.wrapping_add(1);
     }

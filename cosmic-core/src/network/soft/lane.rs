@@ -50,11 +50,14 @@ pub struct Exception {
 /// What can go wrong with an event on its way to the bus.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum ExceptionKind {
     /// It has not been sent by its deadline; it is sent later.
     MissedDeadline,
     /// It expired before it was sent, and has been discarded.
     Expired,
+    /// Its channel lost its etag, or the node its TxNode, before it was sent; it has been discarded.
+    IdentifierLost,
 }
 
 /// What became of the event that was in a mailbox.
@@ -70,27 +73,56 @@ pub struct Departure {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entry {
     pub(super) outgoing: Outgoing,
-    /// The missed deadline has been reported, or nobody wants to hear of it.
-    pub(super) reported: bool,
+    pub(super) report: Report,
+}
+
+/// What the publisher of an event still hears of it.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Report {
+    /// A missed deadline, and that it expired.
+    Deadline,
+    /// That it expired. The missed deadline has been reported, or nobody wants to hear of it.
+    Expiry,
+    /// That its identifier was lost, which is why it expires.
+    IdentifierLost,
 }
 
 impl Entry {
     fn attention_at(&self) -> Instant {
         // An event without deadline can expire, too.
         let expires_at = self.outgoing.expires_at;
-        if self.reported { expires_at } else { expires_at.min(self.outgoing.deadline) }
+        match self.report {
+            Report::Deadline => expires_at.min(self.outgoing.deadline),
+            Report::Expiry | Report::IdentifierLost => expires_at,
+        }
     }
 
     /// What has become of it by now, if anything. The caller discards what has expired.
     fn examine(&mut self, now: Instant) -> Option<ExceptionKind> {
         if now >= self.outgoing.expires_at {
-            return Some(ExceptionKind::Expired);
+            return Some(self.expiry());
         }
-        if !self.reported && now >= self.outgoing.deadline {
-            self.reported = true;
+        if self.report == Report::Deadline && now >= self.outgoing.deadline {
+            self.report = Report::Expiry;
             return Some(ExceptionKind::MissedDeadline);
         }
         None
+    }
+
+    /// Why it is discarded when it expires.
+    fn expiry(&self) -> ExceptionKind {
+        match self.report {
+            Report::Deadline | Report::Expiry => ExceptionKind::Expired,
+            Report::IdentifierLost => ExceptionKind::IdentifierLost,
+        }
+    }
+
+    fn lose_identifier(&mut self, now: Instant) {
+        // What has expired already stays expired.
+        if self.outgoing.expires_at > now {
+            self.outgoing.expires_at = now;
+            self.report = Report::IdentifierLost;
+        }
     }
 
     fn exception(&self, kind: ExceptionKind) -> Exception {
@@ -238,16 +270,15 @@ impl<const N: usize> Lane<N> {
         None
     }
 
-    /// What meets the condition expires now. O(N).
-    pub(super) fn expire(&mut self, now: Instant, which: impl Fn(&Outgoing) -> bool) {
+    /// The identifier of what meets the condition is not its own any more: it is discarded. O(N).
+    pub(super) fn revoke(&mut self, now: Instant, which: impl Fn(&Outgoing) -> bool) {
         for entry in self.queue.iter_mut().filter(|entry| which(&entry.outgoing)) {
-            entry.outgoing.expires_at = now;
+            entry.lose_identifier(now);
         }
         match &mut self.content {
-            Content::Loaded(loaded) if which(&loaded.entry.outgoing) => {
-                loaded.entry.outgoing.expires_at = now
-            }
+            Content::Loaded(loaded) if which(&loaded.entry.outgoing) => loaded.entry.lose_identifier(now),
             Content::Withdrawing(loaded, then @ AndThen::Requeue) if which(&loaded.entry.outgoing) => {
+                loaded.entry.lose_identifier(now);
                 *then = AndThen::Expire;
             }
             Content::Withdrawing(..) | Content::Loaded(_) | Content::Empty => {}
@@ -268,7 +299,7 @@ impl<const N: usize> Lane<N> {
         match (outcome, then) {
             (Outcome::Sent, _) => {
                 departure.sent = Some(loaded.entry.outgoing);
-                if !loaded.entry.reported && at > loaded.entry.outgoing.deadline {
+                if loaded.entry.report == Report::Deadline && at > loaded.entry.outgoing.deadline {
                     departure.exception = Some(loaded.entry.exception(ExceptionKind::MissedDeadline));
                 }
             }
@@ -278,7 +309,7 @@ impl<const N: usize> Lane<N> {
                 let _ = self.queue.put_back(loaded.key, loaded.order, loaded.entry);
             }
             (Outcome::Withdrawn, AndThen::Expire) => {
-                departure.exception = Some(loaded.entry.exception(ExceptionKind::Expired));
+                departure.exception = Some(loaded.entry.exception(loaded.entry.expiry()));
             }
             (Outcome::Withdrawn, AndThen::Forget) => {}
         }
@@ -302,7 +333,7 @@ impl<const N: usize> Lane<N> {
     pub(super) fn attend(&mut self, now: Instant) -> Option<Attended> {
         if let Content::Loaded(loaded) = &mut self.content {
             match loaded.entry.examine(now) {
-                Some(ExceptionKind::Expired) => {
+                Some(ExceptionKind::Expired | ExceptionKind::IdentifierLost) => {
                     return self.withdraw_and(AndThen::Expire).map(Attended::Command);
                 }
                 Some(kind) => return Some(Attended::Exception(loaded.entry.exception(kind))),
@@ -314,7 +345,7 @@ impl<const N: usize> Lane<N> {
         }
         let expired = |entry: &Entry| now >= entry.outgoing.expires_at;
         if let Some(entry) = self.queue.take_where(expired) {
-            return Some(Attended::Exception(entry.exception(ExceptionKind::Expired)));
+            return Some(Attended::Exception(entry.exception(entry.expiry())));
         }
         let mut next = Instant::FAR_FUTURE;
         for entry in self.queue.iter_mut() {

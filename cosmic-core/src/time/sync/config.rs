@@ -31,6 +31,7 @@ pub struct SyncConfig {
 /// Why settings are refused.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum SyncConfigError {
     /// The period is outside [`SyncConfig::SHORTEST_PERIOD`]..=[`SyncConfig::LONGEST_PERIOD`].
     Period,

@@ -5,6 +5,7 @@ use crate::can::TxNode;
 /// Something that the owner of a [`ClockSync`](super::ClockSync) should know.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum ClockEvent {
     /// This node is master now.
     BecameMaster {
