@@ -150,6 +150,12 @@ impl Id {
         if raw < 1 << 29 { Some(Self(raw)) } else { None }
     }
 
+    /// The identifier of the low 29 bits, as a controller's registers give them.
+    #[inline]
+    pub const fn masked(raw: u32) -> Self {
+        Self(raw & ((1 << 29) - 1))
+    }
+
     /// The 29 bits as they stand on the wire.
     #[inline]
     pub const fn raw(self) -> u32 {

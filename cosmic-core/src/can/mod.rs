@@ -3,6 +3,8 @@
 //! COSMIC uses extended (29-bit) data frames of CAN 2.0B only; frames of other kinds on the same bus
 //! are filtered out by the driver.
 
+#[cfg(feature = "embedded-can")]
+pub mod embedded;
 pub mod filter_banks;
 mod frame;
 mod id;

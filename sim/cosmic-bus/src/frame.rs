@@ -4,6 +4,7 @@
 //! with other users, so the bus carries every kind of classical CAN frame.
 
 use core::fmt;
+use cosmic_core::can::embedded::ForeignFrame;
 use cosmic_core::can::{Frame, Payload};
 use embedded_can::{ExtendedId, Id, StandardId};
 
@@ -181,18 +182,6 @@ impl From<Frame> for WireFrame {
         }
     }
 }
-
-/// The frame is of a kind that COSMIC does not use: a standard identifier, or a remote frame.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct ForeignFrame;
-
-impl fmt::Display for ForeignFrame {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("not an extended data frame, so not of COSMIC; filter it out by its identifier")
-    }
-}
-
-impl core::error::Error for ForeignFrame {}
 
 impl TryFrom<WireFrame> for Frame {
     type Error = ForeignFrame;
