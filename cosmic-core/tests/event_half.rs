@@ -337,3 +337,32 @@ fn a_hard_event_under_the_nodes_own_name_is_told_and_reaches_no_subscriber() {
     assert!(half.next(&subscription).is_none());
     let _ = half.cancel_publication(publication);
 }
+
+#[test]
+fn a_hard_event_that_is_not_fetched_in_time_is_overwritten() {
+    let mut half = node();
+    let mut dispatcher = Dispatcher::<2>::new(&CALENDAR);
+    let subscription = half.subscribe(&hard(1), Filter::ALL, fifo(2)).unwrap();
+    let mut notice = None;
+    let id = Id::new(Priority::HARD, OTHER, Etag::new(101).unwrap());
+    // The slot is ready at 4 ms and 14 ms; nobody looks after the first.
+    for now in (0..20_000).step_by(100) {
+        if matches!(now, 4_500 | 14_500) {
+            let frame = Frame::new(id, Payload::new(&[0, (now / 10_000) as u8]).unwrap());
+            assert_eq!(receive(&frame, at(now), half.hard_mut()), None);
+        }
+        loop {
+            match dispatcher.poll(at(now), half.hard_mut()) {
+                HardStep::SleepUntil(_) => break,
+                HardStep::Notify(buffer) => notice = Some(buffer),
+                HardStep::Continue => {}
+                step => panic!("{step:?}"),
+            }
+        }
+    }
+    half.on_input(&Input::Notice(notice.unwrap()), at(20_000));
+    assert_eq!(half.exceptions(ExceptionKind::EventOverwritten), 1);
+    assert_eq!(half.exceptions(ExceptionKind::QueueFull), 0);
+    assert_eq!(half.next(&subscription).unwrap().content, 1);
+    assert!(half.next(&subscription).is_none());
+}
