@@ -99,7 +99,7 @@ fn binding_examples() -> Vec<Example> {
     let pair = |sender, answer| SupplyEtag::pair(sender, NODE, SUBJECT, answer).map(Message::SupplyEtag);
     let [bound_0, bound_1] = pair(TxNode::BROKER, Answer::Bound(ETAG));
     let [refused_0, refused_1] = pair(TxNode::BROKER, Answer::Refused);
-    let [claim_0, _] = pair(NODE, Answer::Bound(ETAG));
+    let [claim_0, claim_1] = pair(NODE, Answer::Bound(ETAG));
     vec![
         Example {
             says: "Get etag: node 0x2A asks for subject 1122334455667788",
@@ -125,7 +125,12 @@ fn binding_examples() -> Vec<Example> {
         Example {
             says: "Supply etag, claim of node 0x2A, first half",
             message: claim_0,
-            wire: "1F4A8004#2A003FFE11223344",
+            wire: "1F4A8004#2A043FFE11223344",
+        },
+        Example {
+            says: "Supply etag, claim of node 0x2A, second half",
+            message: claim_1,
+            wire: "1F4A8004#2A053FFE55667788",
         },
     ]
 }
@@ -258,7 +263,10 @@ fn literal_frames_that_are_no_messages() {
         ("a short reply", "1F5FC000#00000000000000"),
         ("only the broker refuses", "1F4A8005#0123456789ABCDEF"),
         ("a subject is not zero", "1F4A8002#0000000000000000"),
-        ("there are four codes", "1F5FC004#2A043FFE11223344"),
+        ("the broker claims nothing", "1F5FC004#2A043FFE11223344"),
+        ("there are six codes", "1F5FC004#2A063FFE11223344"),
+        ("only the broker binds", "1F4A8004#2A003FFE11223344"),
+        ("only the broker refuses a subject", "1F4A8004#2A02000011223344"),
         ("an etag has 14 bits", "1F5FC004#2A00FFFE11223344"),
         ("a TxNode has 7 bits", "1F5FC004#AA003FFE11223344"),
         ("a probe has no data", "1F4A8008#00"),
@@ -290,7 +298,7 @@ fn old_clients_ignore_what_is_new() {
         let frame = message.encode();
         match message {
             Message::ConfigurationReply(_) | Message::ConfigurationRequest(_) | Message::GetEtag(_) => {}
-            Message::SupplyEtag(supply) if supply.answer() != Answer::Refused => {}
+            Message::SupplyEtag(supply) if !supply.is_claim() && supply.answer() != Answer::Refused => {}
             Message::SupplyEtag(_) => {
                 let index = frame.payload.padded()[1].wrapping_shl(2);
                 assert!(index != 0 && index != 4, "{says}");
@@ -382,6 +390,8 @@ proptest! {
         let (subject, node) = (Subject::new(subject).unwrap(), TxNode::new(node).unwrap());
         let answer = if refused { Answer::Refused } else { Answer::Bound(Etag::new(etag).unwrap()) };
         let halves = SupplyEtag::pair(TxNode::BROKER, node, subject, answer);
+        let claim = SupplyEtag::pair(node, node, subject, answer);
+        prop_assert_eq!(claim.map(|half| SupplyEtag::decode(&half.encode()).unwrap()), claim);
         let received = halves.map(|half| SupplyEtag::decode(&half.encode()).unwrap());
         prop_assert_eq!(received, halves);
         prop_assert_eq!(received[0].joined(&received[1]), Some(subject));

@@ -5,7 +5,9 @@
 //! it waits for may use the etag, no matter who asked.
 //!
 //! The same frames, with a node's own TxNode in place of the broker's, are *claims*: a node tells a broker
-//! that has lost its table which bindings it uses.
+//! that has lost its table which bindings it uses. Their halves have numbers of their own: an old client
+//! looks at the halves 0 and 1 whoever sent them, and a claim between the two halves of its answer would
+//! make it wait for ever, or take the claimed etag.
 
 use super::{control_data, control_frame, etag_of, tx_node_of};
 use crate::can::{Etag, Frame, TxNode};
@@ -64,8 +66,8 @@ impl Answer {
 
 /// One half of a binding: `[requester, half, etag high, etag low, 4 bytes of the subject]`.
 ///
-/// A refusal has 2 or 3 in place of the half and no etag; old clients know the halves 0 and 1 only, and
-/// ignore it.
+/// A refusal has 2 or 3 in place of the half and no etag, and a claim has 4 or 5; old clients know the halves
+/// 0 and 1 only, and ignore them.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SupplyEtag {
@@ -105,6 +107,11 @@ impl SupplyEtag {
         self.requester
     }
 
+    /// Returns whether a node claims a binding that it uses; otherwise the broker answers.
+    pub fn is_claim(&self) -> bool {
+        self.sender != TxNode::BROKER
+    }
+
     /// Which half of the subject it carries.
     pub const fn half(&self) -> Half {
         self.half
@@ -134,9 +141,10 @@ impl SupplyEtag {
     /// The frame of this message.
     pub fn encode(&self) -> Frame {
         let (code, [high, low]) = match self.answer {
-            Answer::Bound(etag) => (self.half as u8, etag.get().to_be_bytes()),
-            Answer::Refused => (self.half as u8 | REFUSED, [0, 0]),
+            Answer::Bound(etag) => (0, etag.get().to_be_bytes()),
+            Answer::Refused => (REFUSED, [0, 0]),
         };
+        let code = self.half as u8 | if self.is_claim() { CLAIMED } else { code };
         let [a, b, c, d] = self.subject_half;
         control_frame(self.sender, Etag::SUPPLY_ETAG, [self.requester.get(), code, high, low, a, b, c, d])
     }
@@ -144,21 +152,21 @@ impl SupplyEtag {
     /// The message in `frame`, if it is one.
     pub fn decode(frame: &Frame) -> Option<Self> {
         let [requester, code, high, low, a, b, c, d] = control_data(frame, Etag::SUPPLY_ETAG)?;
-        let half = match code & !REFUSED {
-            0 => Half::First,
-            1 => Half::Second,
+        let sender = frame.id.tx_node();
+        let half = if code & 1 == 0 { Half::First } else { Half::Second };
+        let refused = match code & !1 {
+            0 if sender == TxNode::BROKER => false,
+            REFUSED if sender == TxNode::BROKER => true,
+            CLAIMED if sender != TxNode::BROKER => false,
             _ => return None,
         };
         let etag = u16::from_be_bytes([high, low]);
         if requester > TxNode::BROKER.get() || etag > Etag::BOUND_LAST.get() {
             return None;
         }
-        let answer = match code & REFUSED {
-            0 => Answer::of(etag_of(etag)),
-            _ => Answer::Refused,
-        };
+        let answer = if refused { Answer::Refused } else { Answer::of(etag_of(etag)) };
         let requester = tx_node_of(requester);
-        Some(Self { sender: frame.id.tx_node(), requester, half, answer, subject_half: [a, b, c, d] })
+        Some(Self { sender, requester, half, answer, subject_half: [a, b, c, d] })
     }
 }
 
@@ -172,6 +180,9 @@ fn half_of(subject: Subject, half: Half) -> [u8; 4] {
 
 /// Added to the half in a refusal.
 const REFUSED: u8 = 2;
+
+/// Added to the half in a claim.
+const CLAIMED: u8 = 4;
 
 #[cfg(test)]
 mod tests {

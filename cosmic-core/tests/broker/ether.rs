@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use cosmic_core::broker::*;
-use cosmic_core::can::{Etag, Frame, TxNode};
+use cosmic_core::can::{Etag, Frame, Id, Payload, TxNode};
 use cosmic_core::time::{Duration, Instant};
 use cosmic_core::{NodeUid, Subject};
 
@@ -56,6 +56,15 @@ pub(crate) const fn subject(subject: u64) -> Subject {
 
 pub(crate) const fn tx_node(id: u8) -> TxNode {
     TxNode::new(id).unwrap()
+}
+
+/// A frame as `candump` writes it: identifier, `#`, data.
+pub(crate) fn from_candump(text: &str) -> Frame {
+    let (id, data) = text.split_once('#').unwrap();
+    let id = Id::from_raw(u32::from_str_radix(id, 16).unwrap()).unwrap();
+    let digits = |at: usize| u8::from_str_radix(&data[at..at + 2], 16).unwrap();
+    let bytes: Vec<u8> = (0..data.len()).step_by(2).map(digits).collect();
+    Frame::new(id, Payload::new(&bytes).unwrap())
 }
 
 impl Node {

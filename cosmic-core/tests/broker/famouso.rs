@@ -192,6 +192,32 @@ fn assert_unique(ether: &Ether, subject_of_old: u64) {
     assert_eq!(used.iter().collect::<BTreeSet<_>>().len(), used.len(), "{etags:?}");
 }
 
+/// A claim comes between the two halves of an old client's answer. It neither takes the claimed etag nor
+/// waits for ever.
+#[test]
+fn a_claim_does_not_confuse_an_old_client() {
+    let now = Instant::EPOCH;
+    for first_half_of_claim in ["1F4A8004#2A043FF011223344", "1F4A8004#2A043FF000000000"] {
+        let mut old = OldClient { tx_node: Some(0x7E), ..OldClient::new(1, 0x1122_3344_5566_7788) };
+        for frame in [
+            "1F5FC004#7E003FFE11223344", // the answer
+            first_half_of_claim,
+            "1F4A8004#2A053FF055667788",
+            "1F5FC004#7E013FFE55667788",
+        ] {
+            old.on_frame(now, &from_candump(frame));
+        }
+        assert_eq!(old.etag, Some(0x3FFE), "{first_half_of_claim}");
+    }
+    // These are the claims that a node of ours sends.
+    let mut node = Binding::<1>::new(0, BindingTiming::DEFAULT);
+    node.assume(subject(0x1122_3344_5566_7788), Etag::new(0x3FF0).unwrap()).unwrap();
+    node.set_tx_node(Some(tx_node(0x2A)));
+    node.on_frame(now, &from_candump("1F404008#"));
+    let claim = ["1F4A8004#2A043FF011223344", "1F4A8004#2A053FF055667788"].map(from_candump);
+    assert_eq!(core::iter::from_fn(|| node.poll(now)).collect::<Vec<_>>(), claim.map(Output::Send));
+}
+
 #[test]
 fn the_old_broker_serves_nodes_of_both_kinds() {
     for seed in 0..10 {
