@@ -79,6 +79,12 @@ uid! {
     Subject
 }
 
+impl Subject {
+    /// Reserved: no channel has this subject. A broker asks for its etag when it starts; a broker that sends
+    /// nothing unasked shows by its answer that it is there, and how many etags it has handed out.
+    pub const RESERVED: Self = Self::MAX;
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,8 +3,12 @@
 //! An id is the index of its entry, counted from the top of its range down, so that looking one up is one
 //! access, and every id that the broker can hand out has a place in which "somebody uses this" can be
 //! kept. Looking for a UID or a subject walks the table.
+//!
+//! What is kept of a name that nobody has told ends by itself: otherwise frames with every id in turn, from a
+//! node that is broken or does not mean well, would leave none to hand out, for good.
 
 use crate::can::{Etag, TxNode};
+use crate::time::Instant;
 use crate::uid::{NodeUid, Subject};
 
 /// The entry contradicts what the table knows.
@@ -20,8 +24,10 @@ pub enum Conflict<Name> {
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Slot<Name> {
     Free,
-    /// Somebody uses it; we do not know who.
-    Unknown,
+    /// Somebody uses it; we do not know who. From then on it is handed out rather than a name be refused.
+    Unknown {
+        until: Instant,
+    },
     /// Handed out, and not seen in use. The name may be one that does not exist, made of two searches for
     /// a UID that were mixed up; so this one is given away before any is refused.
     Promised(Name),
@@ -49,22 +55,24 @@ impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
     }
 
     /// The index that `name` has, or a free one that it gets now.
-    fn assign(&mut self, name: Name) -> Option<usize> {
-        let free = |slot: &Slot<Name>| *slot == Slot::Free;
-        let at = self.index_of(name).or_else(|| self.slots.iter().position(free))?;
+    fn assign(&mut self, name: Name, now: Instant) -> Option<usize> {
+        let at = (self.index_of(name))
+            .or_else(|| self.first(|slot| *slot == Slot::Free))
+            .or_else(|| self.longest_unused(now))?;
         let slot = self.slots.get_mut(at)?;
-        if *slot == Slot::Free {
+        if !slot.is_of(name) {
             *slot = Slot::Of(name);
         }
         Some(at)
     }
 
-    /// The index that `name` has, or one that it is promised now.
-    fn promise(&mut self, name: Name) -> Option<usize> {
+    /// The index that `name` has, or one that it is promised now: the first that is free, or the last.
+    fn promise(&mut self, name: Name, now: Instant, last: bool) -> Option<usize> {
         let free = |slot: &Slot<Name>| *slot == Slot::Free;
-        let promised = |slot: &Slot<Name>| matches!(slot, Slot::Promised(_));
-        let known = self.index_of(name).or_else(|| self.slots.iter().position(free));
-        let at = known.or_else(|| self.slots.iter().position(promised))?;
+        let at = (self.index_of(name))
+            .or_else(|| if last { self.slots.iter().rposition(free) } else { self.first(free) })
+            .or_else(|| self.first(|slot| matches!(slot, Slot::Promised(_))))
+            .or_else(|| self.longest_unused(now))?;
         let slot = self.slots.get_mut(at)?;
         if !slot.is_of(name) {
             *slot = Slot::Promised(name);
@@ -72,15 +80,46 @@ impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
         Some(at)
     }
 
-    fn occupy(&mut self, at: usize) {
+    fn first(&self, of: impl Fn(&Slot<Name>) -> bool) -> Option<usize> {
+        self.slots.iter().position(of)
+    }
+
+    /// The one of those without a name that has not been used for the longest time, and for long enough.
+    fn longest_unused(&self, now: Instant) -> Option<usize> {
+        let ends = |slot: &Slot<Name>| match slot {
+            Slot::Unknown { until } if *until <= now => Some(*until),
+            _ => None,
+        };
+        let ended = self.slots.iter().enumerate().filter_map(|(at, slot)| Some((ends(slot)?, at)));
+        ended.min().map(|(_, at)| at)
+    }
+
+    /// Somebody uses this index. Returns whether it was free.
+    fn occupy(&mut self, at: usize, until: Instant) -> bool {
         let Some(slot) = self.slots.get_mut(at) else {
-            return;
+            return false;
         };
         match *slot {
-            Slot::Free => *slot = Slot::Unknown,
             Slot::Promised(name) => *slot = Slot::Of(name),
-            Slot::Unknown | Slot::Of(_) => {}
+            Slot::Unknown { until: known } => *slot = Slot::Unknown { until: known.max(until) },
+            Slot::Free => {
+                *slot = Slot::Unknown { until };
+                return true;
+            }
+            Slot::Of(_) => {}
         }
+        false
+    }
+
+    /// Indices up to this one are in use by nodes that may never have been heard. Returns whether one of them
+    /// was free.
+    fn occupy_up_to(&mut self, last: usize, until: Instant) -> bool {
+        let mut any = false;
+        for slot in self.slots.iter_mut().take(last.saturating_add(1)).filter(|slot| **slot == Slot::Free) {
+            *slot = Slot::Unknown { until };
+            any = true;
+        }
+        any
     }
 
     /// Enters `name` at `at` unless another one has that id. A former entry of `name` ends.
@@ -112,7 +151,7 @@ impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
     fn name(&self, at: usize) -> Option<Name> {
         match self.slots.get(at) {
             Some(Slot::Promised(name) | Slot::Of(name)) => Some(*name),
-            Some(Slot::Free | Slot::Unknown) | None => None,
+            Some(Slot::Free | Slot::Unknown { .. }) | None => None,
         }
     }
 
@@ -122,6 +161,10 @@ impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
 
     fn free(&self) -> usize {
         self.slots.iter().filter(|slot| **slot == Slot::Free).count()
+    }
+
+    fn unnamed(&self) -> usize {
+        self.slots.iter().filter(|slot| matches!(slot, Slot::Unknown { .. })).count()
     }
 }
 
@@ -155,14 +198,25 @@ impl<const N: usize> Nodes<N> {
         self.0.name(Self::index(tx_node)?)
     }
 
-    /// How many ids are left. O(`N`).
+    /// How many ids are left, without those of which only the use was seen. O(`N`).
     pub fn free(&self) -> usize {
         self.0.free()
     }
 
-    /// The id of a node, which it gets now if it has none; `None` if none is left. O(`N`).
-    pub(super) fn assign(&mut self, uid: NodeUid) -> Option<TxNode> {
-        Self::tx_node(self.0.promise(uid)?)
+    /// Of how many ids only the use was seen. O(`N`).
+    pub fn unnamed(&self) -> usize {
+        self.0.unnamed()
+    }
+
+    /// The id of a node, which it gets now if it has none, from the top down; `None` if none is left. O(`N`).
+    pub(super) fn assign(&mut self, uid: NodeUid, now: Instant) -> Option<TxNode> {
+        Self::tx_node(self.0.promise(uid, now, false)?)
+    }
+
+    /// As [`assign`](Self::assign), from the bottom up: where another broker has handed out ids from the top,
+    /// nobody knows how many, it has come down to these last.
+    pub(super) fn assign_from_below(&mut self, uid: NodeUid, now: Instant) -> Option<TxNode> {
+        Self::tx_node(self.0.promise(uid, now, true)?)
     }
 
     /// The active broker has assigned this id; whoever had it before. O(`N`).
@@ -185,11 +239,15 @@ impl<const N: usize> Nodes<N> {
         }
     }
 
-    /// This id is in use. Constant time.
-    pub(super) fn occupy(&mut self, tx_node: TxNode) {
-        if let Some(at) = Self::index(tx_node) {
-            self.0.occupy(at);
-        }
+    /// This id is in use, and is not handed out to another node before `until`. Returns whether it was free.
+    /// Constant time.
+    pub(super) fn occupy(&mut self, tx_node: TxNode, until: Instant) -> bool {
+        Self::index(tx_node).is_some_and(|at| self.0.occupy(at, until))
+    }
+
+    /// A broker that hands ids out from the top has come down to this one. O(`N`).
+    pub(super) fn occupy_down_to(&mut self, tx_node: TxNode, until: Instant) -> bool {
+        Self::index(tx_node).is_some_and(|at| self.0.occupy_up_to(at, until))
     }
 
     pub(super) fn release(&mut self, uid: NodeUid) -> bool {
@@ -248,9 +306,14 @@ impl<const N: usize> Subjects<N> {
         Self::etag(self.0.index_of(subject)?)
     }
 
-    /// How many etags are left. O(`N`).
+    /// How many etags are left, without those of which only the use was seen. O(`N`).
     pub fn free(&self) -> usize {
         self.0.free()
+    }
+
+    /// Of how many etags only the use was seen. O(`N`).
+    pub fn unnamed(&self) -> usize {
+        self.0.unnamed()
     }
 
     /// The pair that comes after `before` in the table, or the first one behind the last. O(`N`).
@@ -261,8 +324,8 @@ impl<const N: usize> Subjects<N> {
     }
 
     /// The etag of a subject, which it gets now if it has none; `None` if none is left. O(`N`).
-    pub(super) fn bind(&mut self, subject: Subject) -> Option<Etag> {
-        Self::etag(self.0.assign(subject)?)
+    pub(super) fn bind(&mut self, subject: Subject, now: Instant) -> Option<Etag> {
+        Self::etag(self.0.assign(subject, now)?)
     }
 
     /// The active broker said so: whoever had that etag before. O(`N`).
@@ -273,9 +336,15 @@ impl<const N: usize> Subjects<N> {
         }
     }
 
-    /// Somebody uses this etag. Constant time.
-    pub(super) fn occupy(&mut self, etag: Etag) {
-        self.0.occupy(Self::index(etag));
+    /// Somebody uses this etag; it is not handed out before `until`. Returns whether it was free. Constant
+    /// time.
+    pub(super) fn occupy(&mut self, etag: Etag, until: Instant) -> bool {
+        self.0.occupy(Self::index(etag), until)
+    }
+
+    /// A broker that hands etags out from the top has come down to this one. O(`N`).
+    pub(super) fn occupy_down_to(&mut self, etag: Etag, until: Instant) -> bool {
+        self.0.occupy_up_to(Self::index(etag), until)
     }
 
     pub(super) fn release(&mut self, subject: Subject) -> bool {
@@ -300,6 +369,10 @@ impl<const N: usize> Default for Subjects<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::time::Duration;
+
+    const NOW: Instant = Instant::EPOCH;
+    const LATER: Instant = Instant::from_epoch(Duration::from_secs(1));
 
     const fn uid(uid: u64) -> NodeUid {
         NodeUid::new(uid).unwrap()
@@ -312,37 +385,37 @@ mod tests {
     #[test]
     fn a_uid_keeps_its_id() {
         let mut nodes = Nodes::<2>::new();
-        assert_eq!(nodes.assign(uid(1)), Some(TxNode::MAX));
-        assert_eq!(nodes.assign(uid(2)), TxNode::new(0x7D));
-        assert_eq!(nodes.assign(uid(1)), Some(TxNode::MAX));
-        nodes.occupy(TxNode::MAX);
-        nodes.occupy(TxNode::new(0x7D).unwrap());
-        assert_eq!(nodes.assign(uid(3)), None, "no id left");
+        assert_eq!(nodes.assign(uid(1), NOW), Some(TxNode::MAX));
+        assert_eq!(nodes.assign(uid(2), NOW), TxNode::new(0x7D));
+        assert_eq!(nodes.assign(uid(1), NOW), Some(TxNode::MAX));
+        nodes.occupy(TxNode::MAX, LATER);
+        nodes.occupy(TxNode::new(0x7D).unwrap(), LATER);
+        assert_eq!(nodes.assign(uid(3), NOW), None, "no id left");
         assert!(nodes.release(uid(1)));
-        assert_eq!(nodes.assign(uid(3)), Some(TxNode::MAX));
+        assert_eq!(nodes.assign(uid(3), NOW), Some(TxNode::MAX));
     }
 
     #[test]
     fn an_id_that_nobody_has_come_to_use_is_given_away_last() {
         let mut nodes = Nodes::<2>::new();
-        nodes.assign(uid(1)).unwrap();
-        assert_eq!(nodes.assign(uid(2)), TxNode::new(0x7D));
-        nodes.occupy(TxNode::new(0x7D).unwrap());
-        assert_eq!(nodes.assign(uid(3)), Some(TxNode::MAX));
+        nodes.assign(uid(1), NOW).unwrap();
+        assert_eq!(nodes.assign(uid(2), NOW), TxNode::new(0x7D));
+        nodes.occupy(TxNode::new(0x7D).unwrap(), LATER);
+        assert_eq!(nodes.assign(uid(3), NOW), Some(TxNode::MAX));
         assert!(nodes.entries().eq([(uid(3), TxNode::MAX), (uid(2), TxNode::new(0x7D).unwrap())]));
     }
 
     #[test]
     fn ids_that_are_in_use_are_not_handed_out() {
         let mut nodes = Nodes::<3>::new();
-        nodes.occupy(TxNode::MAX);
-        nodes.occupy(TxNode::MIN); // outside the table: nothing to remember
-        nodes.occupy(TxNode::BROKER);
+        nodes.occupy(TxNode::MAX, LATER);
+        nodes.occupy(TxNode::MIN, LATER); // outside the table: nothing to remember
+        nodes.occupy(TxNode::BROKER, LATER);
         nodes.learn(uid(9), TxNode::new(0x7D).unwrap());
-        assert_eq!(nodes.assign(uid(1)), TxNode::new(0x7C));
+        assert_eq!(nodes.assign(uid(1), NOW), TxNode::new(0x7C));
         assert_eq!(nodes.free(), 0);
-        nodes.occupy(TxNode::new(0x7C).unwrap());
-        assert_eq!(nodes.assign(uid(2)), None);
+        nodes.occupy(TxNode::new(0x7C).unwrap(), LATER);
+        assert_eq!(nodes.assign(uid(2), NOW), None);
         // Who it is becomes known.
         nodes.learn(uid(8), TxNode::MAX);
         assert_eq!(nodes.uid_of(TxNode::MAX), Some(uid(8)));
@@ -355,7 +428,7 @@ mod tests {
     fn what_was_exported_is_restored() {
         let mut before = Subjects::<8>::new();
         for at in 1..=5 {
-            before.bind(subject(at)).unwrap();
+            before.bind(subject(at), NOW).unwrap();
         }
         before.release(subject(2));
         let mut after = Subjects::<8>::new();
@@ -363,7 +436,7 @@ mod tests {
             after.restore(subject, etag).unwrap();
         }
         assert!(before.entries().eq(after.entries()));
-        assert_eq!(after.bind(subject(5)), Etag::new(0x3FFF - 4));
+        assert_eq!(after.bind(subject(5), NOW), Etag::new(0x3FFF - 4));
         assert_eq!(after.restore(subject(7), Etag::BOUND_LAST), Err(Conflict::Taken(subject(1))));
         assert_eq!(after.restore(subject(7), Etag::BOUND_FIRST), Err(Conflict::OutOfRange));
         assert_eq!(after.subject_of(Etag::BOUND_LAST), Some(subject(1)));
@@ -373,12 +446,38 @@ mod tests {
     fn pairs_follow_each_other_in_a_circle() {
         let mut subjects = Subjects::<4>::new();
         assert_eq!(subjects.after(None), None);
-        let [first, _, third] = [1, 2, 3].map(|of| (subject(of), subjects.bind(subject(of)).unwrap()));
+        let [first, _, third] = [1, 2, 3].map(|of| (subject(of), subjects.bind(subject(of), NOW).unwrap()));
         subjects.release(subject(2));
         assert_eq!(subjects.after(None), Some(first));
         assert_eq!(subjects.after(Some(first.1)), Some(third));
         assert_eq!(subjects.after(Some(third.1)), Some(first));
         // A place that is not in the table, as after a start from another one.
         assert_eq!(subjects.after(Some(Etag::BOUND_FIRST)), Some(first));
+    }
+
+    #[test]
+    fn a_use_that_is_not_seen_again_is_forgotten_rather_than_a_name_refused() {
+        let mut subjects = Subjects::<2>::new();
+        let [top, below] = [0x3FFF, 0x3FFE].map(|etag| Etag::new(etag).unwrap());
+        assert!(subjects.occupy(top, LATER) && subjects.occupy(below, NOW));
+        assert!(!subjects.occupy(below, NOW), "it is no longer free");
+        assert_eq!((subjects.free(), subjects.unnamed()), (0, 2));
+        assert_eq!(subjects.bind(subject(1), NOW), Some(below));
+        assert_eq!(subjects.bind(subject(2), NOW), None);
+        assert_eq!(subjects.bind(subject(2), LATER), Some(top));
+        assert_eq!(subjects.bind(subject(3), LATER), None, "those that have a name are kept");
+    }
+
+    #[test]
+    fn what_another_broker_has_handed_out_is_in_use() {
+        let mut nodes = Nodes::<4>::new();
+        nodes.assign(uid(1), NOW).unwrap();
+        assert!(nodes.occupy_down_to(TxNode::new(0x7C).unwrap(), LATER));
+        assert!(!nodes.occupy_down_to(TxNode::BROKER, LATER));
+        assert_eq!((nodes.uid_of(TxNode::MAX), nodes.unnamed()), (Some(uid(1)), 2));
+        assert_eq!(nodes.assign(uid(2), NOW), TxNode::new(0x7B));
+        let mut nodes = Nodes::<4>::new();
+        assert_eq!(nodes.assign_from_below(uid(1), NOW), TxNode::new(0x7B));
+        assert_eq!(nodes.assign_from_below(uid(2), NOW), TxNode::new(0x7C));
     }
 }

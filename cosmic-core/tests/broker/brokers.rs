@@ -1,11 +1,12 @@
 //! The broker alone, frame by frame.
 
+use cosmic_core::Subject;
 use cosmic_core::broker::*;
 use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::protocol::*;
 use cosmic_core::time::{Duration, Instant};
 
-use crate::ether::{subject, tx_node, uid};
+use crate::ether::{from_candump, subject, tx_node, uid};
 
 const TIMING: BrokerTiming = BrokerTiming::DEFAULT;
 const HOST: u8 = 1;
@@ -29,6 +30,10 @@ fn probe() -> Frame {
     Probe { tx_node: tx_node(HOST) }.encode()
 }
 
+fn question() -> Frame {
+    GetEtag { requester: tx_node(HOST), subject: Subject::RESERVED }.encode()
+}
+
 fn status(of: u64, id: u8) -> Frame {
     BrokerStatus { tx_node: tx_node(id), uid: uid(of) }.encode()
 }
@@ -48,7 +53,10 @@ fn active(heard: &[Frame]) -> SmallBroker {
     }
     let sent: Vec<Frame> = (0..=302).flat_map(|now| frames(&mut broker, at(now))).collect();
     let restart = ConfigurationReply::Restart.encode();
-    assert_eq!(sent, [probe(), probe(), probe(), status(0xB1, HOST), restart]);
+    assert_eq!(
+        sent,
+        [probe(), question(), probe(), question(), probe(), question(), status(0xB1, HOST), restart]
+    );
     assert_eq!(broker.role(), Role::Active);
     broker
 }
@@ -226,4 +234,138 @@ fn zero_is_no_uid() {
         broker.on_frame(at(310), &Frame::new(Id::from_raw(id).unwrap(), Payload::EMPTY));
     }
     assert_eq!(frames(&mut broker, at(310)).last(), Some(&ConfigurationReply::Restart.encode()));
+}
+
+fn events(broker: &mut SmallBroker, now: Instant) -> Vec<BrokerEvent> {
+    let outputs = core::iter::from_fn(|| broker.poll(now));
+    let events = outputs.filter_map(|output| match output {
+        Output::Event(event) => Some(event),
+        Output::Send(_) | Output::Withdraw(_) => None,
+    });
+    events.collect()
+}
+
+fn hear(broker: &mut SmallBroker, now: Instant, frames: &[&str]) {
+    frames.iter().for_each(|frame| broker.on_frame(now, &from_candump(frame)));
+}
+
+#[test]
+fn a_broker_that_sends_nothing_unasked_is_noticed_by_its_answer() {
+    let mut broker = listening();
+    assert_eq!(frames(&mut broker, at(0)), ["1F404008#", "1F404002#FFFFFFFFFFFFFFFF"].map(from_candump));
+    // It has handed out one etag before; this is the next.
+    hear(&mut broker, at(1), &["1F5FC004#01003FFEFFFFFFFF", "1F5FC004#01013FFEFFFFFFFF"]);
+    assert_eq!(broker.role(), Role::Standby);
+    let used_up = BrokerEvent::EtagsUsedUp { unnamed: 2 };
+    assert_eq!(events(&mut broker, at(1)), [BrokerEvent::Became(Role::Standby), used_up]);
+    assert_eq!(events(&mut broker, at(1000)), []);
+    assert_eq!(broker.next_wakeup(), Some(at(1001)));
+    assert_eq!(events(&mut broker, at(1001)), [BrokerEvent::ForeignBroker]);
+    assert_eq!(events(&mut broker, at(50_000)), [], "told once");
+    // It dies; nobody answers the next request.
+    assert_eq!(get(&mut broker, at(50_000), 1), []);
+    assert_eq!(events(&mut broker, at(51_002)), [BrokerEvent::Became(Role::Active)]);
+    // All that it had handed out, or may have, is kept for a minute.
+    let _ = frames(&mut broker, at(60_000));
+    assert_eq!(get(&mut broker, at(60_000), 1), supply(TxNode::BROKER, 1, Answer::Refused));
+    let assigned = ConfigurationReply::Assigned { uid: uid(0x77), tx_node: tx_node(0x7D) };
+    assert_eq!(search(&mut broker, at(60_000), 0x77).last(), Some(&assigned.encode()));
+    assert_eq!(get(&mut broker, at(60_001), 1), supply(TxNode::BROKER, 1, Answer::Bound(TOP)));
+    assert!(broker.subjects().entries().eq([(subject(1), TOP)]), "the reserved subject has no place");
+}
+
+#[test]
+fn an_active_broker_answers_the_question_for_brokers_with_its_status() {
+    let mut broker = active(&[]);
+    let _ = frames(&mut broker, at(400));
+    hear(&mut broker, at(400), &["1F408002#FFFFFFFFFFFFFFFF"]);
+    assert_eq!(frames(&mut broker, at(400)), [status(0xB1, HOST)]);
+    assert_eq!(broker.subjects().entries().count(), 0);
+    // A claim of it binds nothing either.
+    hear(&mut broker, at(401), &["1F408004#02043FFFFFFFFFFF", "1F408004#02053FFFFFFFFFFF"]);
+    assert_eq!((frames(&mut broker, at(401)), broker.subjects().entries().count()), (vec![], 0));
+}
+
+#[test]
+fn a_foreign_broker_beside_an_active_one_is_told_and_answered_slowly() {
+    let mut broker = active(&[]);
+    let _ = events(&mut broker, at(400));
+    let (mut told, mut sent) = (Vec::new(), Vec::new());
+    for now in 400..2400 {
+        hear(&mut broker, at(now), &["1F5FC000#0000000000000000"]);
+        for output in core::iter::from_fn(|| broker.poll(at(now))) {
+            match output {
+                Output::Event(event) => told.push((now, event)),
+                Output::Send(frame) => sent.push(frame),
+                Output::Withdraw(_) => {}
+            }
+        }
+    }
+    assert_eq!(told, [(1400, BrokerEvent::ForeignBroker)]);
+    assert!(sent.len() <= 2 * 20 && sent.iter().all(|frame| *frame == status(0xB1, HOST)), "{}", sent.len());
+    // The status of another broker of this kind is answered no faster.
+    let mut answers = 0;
+    for now in 2400..3400 {
+        broker.on_frame(at(now), &status(0xB2, 2));
+        answers += frames(&mut broker, at(now)).len();
+    }
+    assert!(answers <= 20, "{answers}");
+    assert_eq!(events(&mut broker, at(3400)), [], "it has said who it is");
+}
+
+#[test]
+fn withdrawn_interest_takes_no_etag() {
+    let mut broker = active(&[]);
+    hear(&mut broker, at(310), &["1F4A8012#3FFF400000000000", "1F4A8012#BFFE400000000000"]);
+    assert_eq!(broker.subjects().free(), 2);
+    assert_eq!(get(&mut broker, at(310), 1), supply(TxNode::BROKER, 1, Answer::Bound(TOP)));
+}
+
+#[test]
+fn etags_and_ids_whose_use_has_ended_are_handed_out_when_no_other_is_left() {
+    let mut broker = active(&[]);
+    let _ = events(&mut broker, at(310));
+    // Interest for a tenth of a second in one, an event in the other, from the two ids of the table.
+    hear(&mut broker, at(310), &["1F5F8012#3FFF400100000000", "021F7FFE#"]);
+    let told = [BrokerEvent::IdsUsedUp { unnamed: 2 }, BrokerEvent::EtagsUsedUp { unnamed: 2 }];
+    let mut all = events(&mut broker, at(310));
+    all.sort_by_key(|event| matches!(event, BrokerEvent::EtagsUsedUp { .. }));
+    assert_eq!(all, told);
+    let _ = frames(&mut broker, at(311));
+    // The interest was an event of its node, too, which counts for a minute.
+    assert_eq!(get(&mut broker, at(311), 1), supply(TxNode::BROKER, 1, Answer::Refused));
+    assert_eq!(get(&mut broker, at(410), 1), supply(TxNode::BROKER, 1, Answer::Bound(TOP)));
+    let _ = frames(&mut broker, at(60_309));
+    assert_eq!(get(&mut broker, at(60_309), 2), supply(TxNode::BROKER, 2, Answer::Refused));
+    assert_eq!(
+        search(&mut broker, at(60_309), 0x77).last(),
+        Some(&ConfigurationRefusal { uid: uid(0x77) }.encode())
+    );
+    assert_eq!(get(&mut broker, at(60_310), 2), supply(TxNode::BROKER, 2, Answer::Bound(BELOW)));
+    let assigned = ConfigurationReply::Assigned { uid: uid(0x77), tx_node: TxNode::MAX };
+    assert_eq!(search(&mut broker, at(60_310), 0x77).last(), Some(&assigned.encode()));
+}
+
+/// The host does not hear itself defend its id, so its broker would give it away again and again.
+#[test]
+fn the_hosts_own_id_is_never_given_away() {
+    let mut broker = listening();
+    broker.set_tx_node(at(0), Some(TxNode::MAX));
+    for now in 0..700 {
+        let _ = frames(&mut broker, at(now));
+    }
+    assert_eq!(broker.role(), Role::Active);
+    hear(
+        &mut broker,
+        at(700),
+        &[
+            "1F5F8007#0000000000000005", // another node states that id,
+            "1F480007#00000000000000B1", // or the host's UID with another one,
+            "1F5FC007#00000000000000B1", // or with the broker's,
+            "1F5F8006#00000000000000B1", // or gives it back,
+            "1F5F8000#0000000000000005", // or a broker assigns it,
+            "1F480009#00000000000000B1", // or there is a broker of this name
+        ],
+    );
+    assert_eq!(broker.nodes().uid_of(TxNode::MAX), Some(uid(0xB1)));
 }

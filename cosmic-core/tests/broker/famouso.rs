@@ -286,6 +286,29 @@ fn a_standby_takes_over_from_the_old_broker_when_that_no_longer_answers() {
     assert_unique(&ether, 1);
 }
 
+/// The old broker has served a node, and nobody asks it any more when ours starts.
+#[test]
+fn our_broker_stands_by_beside_a_quiet_old_one() {
+    for seed in 0..10 {
+        let mut ether = Ether::new(seed);
+        ether.add(OldBroker::new());
+        ether.add(OldClient::new(0x4010_0000_0000_0000, 1));
+        ether.add(Node::asking(ether.now, 0x10, seed).with_subjects([2]));
+        ether.run_until(SECOND, |ether| all_names(ether, 1).is_some());
+        ether.run(SECOND * 5);
+        let ours = ether.add(Node::fixed(ether.now, 0xB0, 1, seed).hosting(Nodes::new(), Subjects::new()));
+        ether.run(SECOND * 5);
+        assert_eq!(ether.node(ours).role(), Role::Standby);
+        assert!(ether.node(ours).broker_events.contains(&BrokerEvent::ForeignBroker));
+        // The old one dies. What it gave to its old client, which says nothing, is not given again.
+        ether.kill(0);
+        ether.add(Node::asking(ether.now, 0x11, seed).with_subjects([2, 3, 4]));
+        ether.run_until(SECOND * 5, |ether| all_names(ether, 1).is_some());
+        assert_eq!(ether.node(ours).role(), Role::Active);
+        assert_unique(&ether, 1);
+    }
+}
+
 #[test]
 fn a_standby_knows_the_ids_of_old_clients() {
     let mut ether = Ether::new(4);

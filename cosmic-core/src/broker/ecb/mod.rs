@@ -9,7 +9,8 @@
 //! # A broker that lost its table
 //! The nodes know their own ids and bindings, and tell them when they are probed. What the nodes that are
 //! off had, only a stored table knows ([`Broker::nodes`], [`Broker::subjects`] and their `restore`). Ids
-//! and etags of which only the use is seen are kept out of use.
+//! and etags of which only the use is seen are kept out of use, as long as they are used
+//! ([`BrokerTiming::unnamed`]).
 //!
 //! # Two active brokers
 //! They hear each other's status: the one with the lower UID stays, the other stands by. The one that
@@ -24,22 +25,31 @@
 //! round takes as many of these spans as there are subjects.
 //!
 //! # FAMOUSO's broker
-//! It sends no status. It is recognised by its replies, and taken for dead when a request remains
-//! without an answer.
+//! It sends nothing unasked. So a broker that listens asks for the etag of a subject that is reserved for
+//! this ([`Subject::RESERVED`]), and stands by when it is answered. The old broker hands ids and etags out
+//! from the top down, as this one does: all that are not below one of its answers are taken. How many ids it
+//! has handed out is not known, so from then on this one begins at the bottom of its table. The old broker is
+//! taken for dead when a request remains without an answer.
+//!
+//! # Frames that should not be
+//! Whatever another node sends: it is answered so many times a second at most
+//! ([`BrokerTiming::between_answers`]), the host's own id is never given away, and what a node said without
+//! a name is forgotten some time after it was said last.
 
+mod others;
 mod report;
+mod requests;
 
 pub use report::{BrokerCounters, BrokerEvent, BrokerTiming, Role};
 
 use super::Output;
-use super::halves::{Halves, Supply};
+use super::halves::Halves;
 use super::jitter::times;
-use super::session::{Session, Step};
+use super::session::Session;
 use super::tables::{Nodes, Subjects};
-use crate::can::{Etag, Frame, TxNode};
+use crate::can::{Etag, Frame, Id, TxNode};
 use crate::protocol::{
-    Answer, BrokerStatus, ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, Message, Probe,
-    SupplyEtag, names_its_sender,
+    Answer, BrokerStatus, ConfigurationReply, GetEtag, Interest, Message, Probe, SupplyEtag, names_its_sender,
 };
 use crate::ring::Ring;
 use crate::time::{Duration, Instant};
@@ -74,6 +84,14 @@ pub struct Broker<const NODES: usize, const SUBJECTS: usize> {
     probes: u8,
     /// The etag of the binding that was repeated last.
     repeated: Option<Etag>,
+    status_sent_at: Instant,
+    /// Another broker has answered, and has not sent its status since. When to tell.
+    foreign_at: Option<Instant>,
+    /// An old broker has handed out ids, or still does.
+    old_ids: bool,
+    /// The owner was told that no id, or no etag, is free.
+    ids_used_up: bool,
+    etags_used_up: bool,
     replies: Ring<Frame, REPLIES>,
     events: Ring<BrokerEvent, EVENTS>,
     counters: BrokerCounters,
@@ -100,6 +118,11 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             probe_at: None,
             probes: 0,
             repeated: None,
+            status_sent_at: Instant::EPOCH,
+            foreign_at: None,
+            old_ids: false,
+            ids_used_up: false,
+            etags_used_up: false,
             replies: Ring::new(),
             events: Ring::new(),
             counters: BrokerCounters::ZERO,
@@ -168,19 +191,31 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         self.subjects.release(subject)
     }
 
-    /// Takes a received frame; control messages and all others, from which the broker learns which ids
-    /// and etags are in use. It need not see all of the others.
+    /// An event has been received: the broker learns which id and which etag are in use. Returns whether
+    /// [`poll`](Self::poll) has to be called. Constant time, unless the last that was free is in use now.
+    pub fn on_event(&mut self, now: Instant, id: Id) -> bool {
+        if self.state == State::Off {
+            return false;
+        }
+        let until = now + self.timing.unnamed;
+        let node = names_its_sender(id) && self.nodes.occupy(id.tx_node(), until);
+        let channel = id.etag() >= Etag::BOUND_FIRST && self.subjects.occupy(id.etag(), until);
+        (node || channel) && self.look_for_room()
+    }
+
+    /// Takes a received frame; control messages and all others, which are [events](Self::on_event).
     pub fn on_frame(&mut self, now: Instant, frame: &Frame) {
         if self.state == State::Off {
             return;
         }
-        if names_its_sender(frame.id) {
-            self.nodes.occupy(frame.id.tx_node());
+        self.on_event(now, frame.id);
+        if frame.id.etag().is_reserved() {
+            self.on_message(now, frame);
+            self.look_for_room();
         }
-        if frame.id.etag() >= Etag::BOUND_FIRST {
-            self.subjects.occupy(frame.id.etag());
-            return;
-        }
+    }
+
+    fn on_message(&mut self, now: Instant, frame: &Frame) {
         match Message::decode(frame) {
             Some(Message::ConfigurationRequest(request)) => self.on_configuration_request(now, request),
             Some(Message::ConfigurationReply(reply)) => self.on_configuration_reply(now, reply),
@@ -191,15 +226,19 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
                     self.on_supply(now, supply);
                 }
             }
-            Some(Message::NodeIdentity(identity)) => self.nodes.learn(identity.uid, identity.tx_node),
+            Some(Message::NodeIdentity(identity)) => self.learn(identity.uid, identity.tx_node),
             Some(Message::Release(release)) => {
-                if self.nodes.uid_of(release.tx_node) == Some(release.uid) {
+                let known = self.nodes.uid_of(release.tx_node) == Some(release.uid);
+                if known && !self.is_host(release.uid, release.tx_node) {
                     self.nodes.release(release.uid);
                 }
             }
             Some(Message::BrokerStatus(status)) => self.on_broker_status(now, status),
-            Some(Message::Interest(interest)) if interest.etag >= Etag::BOUND_FIRST => {
-                self.subjects.occupy(interest.etag);
+            // What nobody wants any more is no use.
+            Some(Message::Interest(Interest { etag, lease, .. }))
+                if etag >= Etag::BOUND_FIRST && !lease.is_withdrawn() =>
+            {
+                self.subjects.occupy(etag, now + lease.duration());
             }
             Some(Message::Interest(_) | Message::NodeStatus(_) | Message::Probe(_)) | None => {}
         }
@@ -214,7 +253,9 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
                 // Three probes, so that a lost one does not cost the table.
                 let third = Duration::from_ticks(self.timing.listen.as_ticks() / 3);
                 self.state = State::Listening { until, probe_at: next_probe(probe_at + third, until) };
-                self.reply([Probe { tx_node: self.tx_node }.encode()]);
+                let tx_node = self.tx_node;
+                let question = GetEtag { requester: tx_node, subject: Subject::RESERVED };
+                self.reply([Probe { tx_node }.encode(), question.encode()]);
             }
             State::Listening { .. } => {}
             State::Active { status_at } => self.poll_active(now, status_at),
@@ -225,6 +266,11 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             self.probes = self.probes.saturating_sub(1);
             self.probe_at = (self.probes > 0).then_some(now + self.timing.listen);
             self.reply([Probe { tx_node: self.tx_node }.encode()]);
+        }
+        if self.state != State::Off && self.foreign_at.is_some_and(|at| now >= at) {
+            self.foreign_at = Some(Instant::FAR_FUTURE);
+            self.old_ids = true;
+            self.tell(BrokerEvent::ForeignBroker);
         }
         match self.events.pop() {
             Some(event) => Some(Output::Event(event)),
@@ -241,7 +287,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             State::Standby { dead_at, .. } => Some(dead_at),
         };
         let search = self.session.expires_at(self.timing.search);
-        [of_state, search, self.restart_at, self.probe_at].into_iter().flatten().min()
+        [of_state, search, self.restart_at, self.probe_at, self.foreign_at].into_iter().flatten().min()
     }
 
     fn poll_active(&mut self, now: Instant, status_at: Instant) {
@@ -262,171 +308,12 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         }
     }
 
-    fn on_configuration_request(&mut self, now: Instant, request: ConfigurationRequest) {
-        if self.role() != Role::Active {
-            self.expect_an_answer(now);
-            return;
-        }
-        match self.session.on_request(now, request) {
-            Step::Ignored => {}
-            Step::Reply(frame) => self.reply([frame]),
-            Step::Whole(bits) => {
-                let reply = self.assign(now, NodeUid::new(bits));
-                self.session.conclude(request, reply);
-            }
-        }
-    }
-
-    /// Answers the last request of a search. Zero is no UID: it is noise, or two searches mixed up.
-    fn assign(&mut self, now: Instant, uid: Option<NodeUid>) -> Option<Frame> {
-        let Some(uid) = uid else {
-            self.reply([ConfigurationReply::Restart.encode()]);
-            return None;
-        };
-        let Some(tx_node) = self.nodes.assign(uid) else {
-            count(&mut self.counters.no_id_left);
-            self.tell(BrokerEvent::NoIdLeft(uid));
-            self.reply([ConfigurationRefusal { uid }.encode()]);
-            // Old clients do not know a refusal, and wait for the end of the search. The one that was
-            // refused among them asks again then, which the pause keeps from filling the bus.
-            self.restart_at = Some(now + self.timing.silence);
-            return None;
-        };
-        let reply = ConfigurationReply::Assigned { uid, tx_node }.encode();
-        self.reply([reply]);
-        self.tell(BrokerEvent::Assigned { uid, tx_node });
-        Some(reply)
-    }
-
-    fn on_get_etag(&mut self, now: Instant, requester: TxNode, subject: Subject) {
-        if self.role() != Role::Active {
-            self.expect_an_answer(now);
-            return;
-        }
-        self.supply(requester, subject);
-    }
-
-    fn supply(&mut self, requester: TxNode, subject: Subject) {
-        if self.replies.room() < 2 {
-            count(&mut self.counters.replies_dropped);
-            return;
-        }
-        let known = self.subjects.etag_of(subject);
-        let answer = match known.or_else(|| self.subjects.bind(subject)) {
-            Some(etag) => {
-                if known.is_none() {
-                    self.tell(BrokerEvent::Bound { subject, etag });
-                }
-                Answer::Bound(etag)
-            }
-            None => {
-                count(&mut self.counters.no_etag_left);
-                self.tell(BrokerEvent::NoEtagLeft(subject));
-                Answer::Refused
-            }
-        };
-        let halves = SupplyEtag::pair(TxNode::BROKER, requester, subject, answer);
-        self.reply(halves.map(|half| half.encode()));
-    }
-
-    fn on_supply(&mut self, now: Instant, supply: Supply) {
-        if supply.sender == TxNode::BROKER {
-            self.on_other_broker(now);
-            if let (Answer::Bound(etag), true) = (supply.answer, self.role() != Role::Active) {
-                self.subjects.mirror(supply.subject, etag);
-            }
-            return;
-        }
-        let Answer::Bound(etag) = supply.answer else {
-            return;
-        };
-        match self.state {
-            State::Off => {}
-            State::Active { .. } => self.check_claim(now, supply, etag),
-            State::Standby { .. } => self.subjects.mirror(supply.subject, etag),
-            // What a node uses now counts more than a stored table.
-            State::Listening { until, .. } => {
-                if self.contradicts(supply.subject, etag) {
-                    count(&mut self.counters.contradictions);
-                    self.compare_from(until + self.rank_delay());
-                }
-                self.subjects.mirror(supply.subject, etag);
-            }
-        }
-    }
-
-    /// A node uses `etag` for the subject of `supply`. If that contradicts the table, all nodes are told
-    /// what is right.
-    fn check_claim(&mut self, now: Instant, supply: Supply, etag: Etag) {
-        if self.contradicts(supply.subject, etag) || self.subjects.restore(supply.subject, etag).is_err() {
-            count(&mut self.counters.contradictions);
-            self.supply(supply.requester, supply.subject);
-            // See whether it was heard.
-            if self.probe_at.is_none() {
-                (self.probe_at, self.probes) = (Some(now + self.timing.silence), 1);
-            }
-        }
-    }
-
-    fn contradicts(&self, subject: Subject, etag: Etag) -> bool {
-        self.subjects.etag_of(subject).is_some_and(|known| known != etag)
-            || self.subjects.subject_of(etag).is_some_and(|known| known != subject)
-    }
-
-    fn on_configuration_reply(&mut self, now: Instant, reply: ConfigurationReply) {
-        self.on_other_broker(now);
-        if let (ConfigurationReply::Assigned { uid, tx_node }, true) = (reply, self.role() != Role::Active) {
-            self.nodes.mirror(uid, tx_node);
-        }
-    }
-
-    /// A frame that only an active broker sends.
-    fn on_other_broker(&mut self, now: Instant) {
-        match self.state {
-            State::Off => {}
-            State::Listening { .. } => self.stand_by(now, true),
-            // Tell it that we are there; the one with the higher UID goes when it hears the other. The old
-            // broker hears nothing, so there the user has two brokers.
-            State::Active { .. } => self.state = State::Active { status_at: now },
-            State::Standby { old: true, .. } => {
-                self.state = State::Standby { dead_at: Instant::FAR_FUTURE, old: true };
-            }
-            State::Standby { old: false, .. } => {
-                self.state = State::Standby { dead_at: self.dead_at(now), old: false };
-            }
-        }
-    }
-
-    fn on_broker_status(&mut self, now: Instant, status: BrokerStatus) {
-        self.nodes.learn(status.uid, status.tx_node);
-        match self.state {
-            State::Off => {}
-            State::Active { .. } if status.uid > self.uid => {
-                self.state = State::Active { status_at: now };
-                // When the other has gone, compare our table with what its nodes use.
-                self.compare_from(now + self.timing.listen);
-            }
-            State::Listening { .. } | State::Active { .. } => self.stand_by(now, false),
-            State::Standby { .. } => {
-                self.state = State::Standby { dead_at: self.dead_at(now), old: false };
-            }
-        }
-    }
-
-    /// A node asks, and this broker is not the one to answer. If it is the old broker's turn, which shows
-    /// no other sign of life, an answer must come soon.
-    fn expect_an_answer(&mut self, now: Instant) {
-        if let State::Standby { dead_at: Instant::FAR_FUTURE, old: true } = self.state {
-            self.state = State::Standby { dead_at: self.dead_at(now), old: true };
-        }
-    }
-
     fn activate(&mut self, now: Instant) {
         // A standby has mirrored only what it has heard.
         if self.role() == Role::Standby {
             self.compare_from(now);
         }
-        self.restart_at = None;
+        (self.restart_at, self.foreign_at) = (None, None);
         self.session = Session::new();
         self.send_status(now);
         self.tell(BrokerEvent::Became(Role::Active));
@@ -451,11 +338,46 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         self.state = state;
         self.session = Session::new();
         self.replies.clear();
-        (self.restart_at, self.probe_at) = (None, None);
+        (self.restart_at, self.probe_at, self.foreign_at) = (None, None, None);
+    }
+
+    /// Another broker is to hear of this one, which answers; at once, unless that was just done.
+    fn hasten_status(&mut self, now: Instant) {
+        if let State::Active { status_at } = self.state {
+            let soonest = now.max(self.status_sent_at + self.timing.between_answers);
+            self.state = State::Active { status_at: status_at.min(soonest) };
+        }
+    }
+
+    /// A node states its name. One that takes the host's id, or its UID, finds the host itself.
+    fn learn(&mut self, uid: NodeUid, tx_node: TxNode) {
+        if tx_node != TxNode::BROKER && !self.is_host(uid, tx_node) {
+            self.nodes.learn(uid, tx_node);
+        }
+    }
+
+    fn is_host(&self, uid: NodeUid, tx_node: TxNode) -> bool {
+        uid == self.uid || tx_node == self.tx_node
+    }
+
+    /// Tells when nothing is free any more: once, until something was free again. Returns whether it told.
+    fn look_for_room(&mut self) -> bool {
+        let ids_used_up = self.nodes.free() == 0;
+        let etags_used_up = self.subjects.free() == 0;
+        let (ids, etags) = (ids_used_up && !self.ids_used_up, etags_used_up && !self.etags_used_up);
+        (self.ids_used_up, self.etags_used_up) = (ids_used_up, etags_used_up);
+        if ids {
+            self.tell(BrokerEvent::IdsUsedUp { unnamed: self.nodes.unnamed() });
+        }
+        if etags {
+            self.tell(BrokerEvent::EtagsUsedUp { unnamed: self.subjects.unnamed() });
+        }
+        ids || etags
     }
 
     fn send_status(&mut self, now: Instant) {
         self.state = State::Active { status_at: now + self.timing.status };
+        self.status_sent_at = now;
         self.reply([BrokerStatus { tx_node: self.tx_node, uid: self.uid }.encode()]);
     }
 

@@ -18,6 +18,11 @@ pub struct BrokerTiming {
     pub rank_step: Duration,
     /// How long a search for a UID waits for the next request until it is given up.
     pub search: Duration,
+    /// How long an id or an etag of which only the use was seen is not handed out, from the last use on. What a
+    /// node states its interest in is kept for its lease.
+    pub unnamed: Duration,
+    /// Between two answers to other brokers, at least.
+    pub between_answers: Duration,
 }
 
 impl BrokerTiming {
@@ -28,6 +33,8 @@ impl BrokerTiming {
         silence: Duration::from_secs(1),
         rank_step: Duration::from_millis(2),
         search: Duration::from_millis(250),
+        unnamed: Duration::from_secs(60),
+        between_answers: Duration::from_millis(50),
     };
 }
 
@@ -70,6 +77,19 @@ pub enum BrokerEvent {
     NoIdLeft(NodeUid),
     /// No etag is left for this subject.
     NoEtagLeft(Subject),
+    /// No id is free any more. Told once, until one was free again.
+    IdsUsedUp {
+        /// Of how many only the use was seen; they are handed out when it ends.
+        unnamed: usize,
+    },
+    /// No etag is free any more. Told once, until one was free again.
+    EtagsUsedUp {
+        /// Of how many only the use was seen; they are handed out when it ends.
+        unnamed: usize,
+    },
+    /// Another broker answers, which does not say who it is: an old one. This broker stands by if it heard of
+    /// it in time. Two that answer give ids and etags twice; switch one of them off.
+    ForeignBroker,
 }
 
 /// What a broker could not do; each counter stays at its maximum.

@@ -1,0 +1,121 @@
+//! Other brokers, and nodes whose bindings are those of another broker.
+
+use super::{Broker, Role, State, count};
+use crate::broker::halves::Supply;
+use crate::can::{Etag, TxNode};
+use crate::protocol::{Answer, BrokerStatus, ConfigurationReply};
+use crate::time::Instant;
+use crate::uid::Subject;
+
+impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
+    pub(super) fn on_supply(&mut self, now: Instant, supply: Supply) {
+        if supply.sender == TxNode::BROKER {
+            self.on_other_broker(now);
+            let Answer::Bound(etag) = supply.answer else { return };
+            if self.role() != Role::Active && supply.subject != Subject::RESERVED {
+                self.subjects.mirror(supply.subject, etag);
+            }
+            if self.is_beside_the_old_broker() {
+                self.subjects.occupy_down_to(etag, now + self.timing.unnamed);
+            }
+            return;
+        }
+        let Answer::Bound(etag) = supply.answer else { return };
+        if supply.subject == Subject::RESERVED {
+            return;
+        }
+        match self.state {
+            State::Off => {}
+            State::Active { .. } => self.check_claim(now, supply, etag),
+            State::Standby { .. } => self.subjects.mirror(supply.subject, etag),
+            // What a node uses now counts more than a stored table.
+            State::Listening { until, .. } => {
+                if self.contradicts(supply.subject, etag) {
+                    count(&mut self.counters.contradictions);
+                    self.compare_from(until + self.rank_delay());
+                }
+                self.subjects.mirror(supply.subject, etag);
+            }
+        }
+    }
+
+    /// A node uses `etag` for the subject of `supply`. If that contradicts the table, all nodes are told
+    /// what is right.
+    fn check_claim(&mut self, now: Instant, supply: Supply, etag: Etag) {
+        if self.contradicts(supply.subject, etag) || self.subjects.restore(supply.subject, etag).is_err() {
+            count(&mut self.counters.contradictions);
+            self.supply(now, supply.requester, supply.subject);
+            // See whether it was heard.
+            if self.probe_at.is_none() {
+                (self.probe_at, self.probes) = (Some(now + self.timing.silence), 1);
+            }
+        }
+    }
+
+    fn contradicts(&self, subject: Subject, etag: Etag) -> bool {
+        self.subjects.etag_of(subject).is_some_and(|known| known != etag)
+            || self.subjects.subject_of(etag).is_some_and(|known| known != subject)
+    }
+
+    pub(super) fn on_configuration_reply(&mut self, now: Instant, reply: ConfigurationReply) {
+        self.on_other_broker(now);
+        let ConfigurationReply::Assigned { uid, tx_node } = reply else { return };
+        if self.role() != Role::Active && !self.is_host(uid, tx_node) {
+            self.nodes.mirror(uid, tx_node);
+        }
+        if self.is_beside_the_old_broker() {
+            self.nodes.occupy_down_to(tx_node, now + self.timing.unnamed);
+        }
+    }
+
+    /// A frame that only an active broker sends.
+    pub(super) fn on_other_broker(&mut self, now: Instant) {
+        match self.state {
+            State::Off => return,
+            State::Listening { .. } => self.stand_by(now, true),
+            // Tell it that we are there; the one with the higher UID goes when it hears the other. The old
+            // broker hears nothing, so there the user has two brokers, and is told.
+            State::Active { .. } => self.hasten_status(now),
+            State::Standby { old: true, .. } => {
+                self.state = State::Standby { dead_at: Instant::FAR_FUTURE, old: true };
+            }
+            State::Standby { old: false, .. } => {
+                self.state = State::Standby { dead_at: self.dead_at(now), old: false };
+                return;
+            }
+        }
+        self.foreign_at = self.foreign_at.or(Some(now + self.timing.silence));
+        // The id that it hands out first.
+        self.nodes.occupy_down_to(TxNode::MAX, now + self.timing.unnamed);
+    }
+
+    /// Returns whether another broker answers of which no status was heard.
+    fn is_beside_the_old_broker(&self) -> bool {
+        self.foreign_at.is_some()
+    }
+
+    pub(super) fn on_broker_status(&mut self, now: Instant, status: BrokerStatus) {
+        self.learn(status.uid, status.tx_node);
+        self.foreign_at = None;
+        match self.state {
+            State::Off => {}
+            State::Active { .. } if status.uid > self.uid => {
+                self.hasten_status(now);
+                // When the other has gone, compare our table with what its nodes use.
+                self.compare_from(now + self.timing.listen);
+            }
+            State::Listening { .. } | State::Active { .. } => self.stand_by(now, false),
+            State::Standby { .. } => {
+                self.state = State::Standby { dead_at: self.dead_at(now), old: false };
+            }
+        }
+    }
+
+    /// A node asks, and this broker is not the one to answer. If it is the old broker's turn, which shows
+    /// no other sign of life, an answer must come soon.
+    pub(super) fn expect_an_answer(&mut self, now: Instant) {
+        if let State::Standby { dead_at: Instant::FAR_FUTURE, old: true } = self.state {
+            self.state = State::Standby { dead_at: self.dead_at(now), old: true };
+        }
+    }
+}
