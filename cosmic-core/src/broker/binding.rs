@@ -3,7 +3,8 @@
 //! One subject is asked for at a time; the others wait their turn. An answer counts no matter who asked,
 //! because a subject has one etag on the whole segment. The broker may bind a subject anew, when two
 //! parts of a bus that was cut come together again; then the node is told both etags. If it binds another
-//! subject to an etag of this node, the node drops the etag at once and asks for a new one.
+//! subject to an etag of this node, the node drops the etag at once and asks for a new one. An etag that is
+//! fixed is not given up, whoever says what; the node is told.
 
 use super::Output;
 use super::halves::{Halves, Supply};
@@ -21,11 +22,17 @@ pub struct BindingTiming {
     pub reply: Duration,
     /// How long a node waits after a refusal until it asks again.
     pub refused: Duration,
+    /// Between two answers to probes, at least; each tells all bindings.
+    pub between_claims: Duration,
 }
 
 impl BindingTiming {
     /// For a segment of 125 kbit/s and faster.
-    pub const DEFAULT: Self = Self { reply: Duration::from_millis(30), refused: Duration::from_secs(2) };
+    pub const DEFAULT: Self = Self {
+        reply: Duration::from_millis(30),
+        refused: Duration::from_secs(2),
+        between_claims: Duration::from_millis(200),
+    };
 }
 
 /// What the node is told.
@@ -62,6 +69,14 @@ pub enum BindingEvent {
         /// The subject.
         subject: Subject,
     },
+    /// The etag of this subject is fixed, and stays; but the broker gives the subject another one, or the etag
+    /// to another subject. Told once in [`BindingTiming::refused`] at most.
+    Contradicted {
+        /// The subject.
+        subject: Subject,
+        /// Its etag.
+        etag: Etag,
+    },
 }
 
 /// There is no room for another subject.
@@ -72,8 +87,21 @@ pub struct BindingFull;
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum State {
     Wanted,
-    Refused { until: Instant },
+    Refused {
+        until: Instant,
+    },
     Bound(Etag),
+    /// By the application. Contradictions are not told before then.
+    Fixed(Etag, Instant),
+}
+
+impl State {
+    const fn etag(self) -> Option<Etag> {
+        match self {
+            Self::Bound(etag) | Self::Fixed(etag, _) => Some(etag),
+            Self::Wanted | Self::Refused { .. } => None,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -108,6 +136,9 @@ pub struct Binding<const N: usize> {
     failures: u8,
     void: Option<Frame>,
     send: Option<Frame>,
+    /// A probe is to be answered, but not before `claim_at`.
+    probed: bool,
+    claim_at: Instant,
     /// The entry whose binding is claimed next, after a probe.
     claim: Option<usize>,
     second_half: Option<Frame>,
@@ -129,6 +160,8 @@ impl<const N: usize> Binding<N> {
             failures: 0,
             void: None,
             send: None,
+            probed: false,
+            claim_at: Instant::EPOCH,
             claim: None,
             second_half: None,
         }
@@ -139,7 +172,7 @@ impl<const N: usize> Binding<N> {
         if self.tx_node != tx_node {
             self.tx_node = tx_node;
             self.end_request();
-            (self.claim, self.second_half) = (None, None);
+            (self.probed, self.claim, self.second_half) = (false, None, None);
         }
     }
 
@@ -149,18 +182,27 @@ impl<const N: usize> Binding<N> {
     /// When `N` other subjects are in use.
     pub fn bind(&mut self, subject: Subject) -> Result<(), BindingFull> {
         let entry = self.entry(subject)?;
-        if let State::Bound(etag) = entry.state {
+        if let Some(etag) = entry.state.etag() {
             entry.untold = Some(BindingEvent::Bound { subject, etag });
         }
         Ok(())
     }
 
-    /// The etag of `subject` is fixed, or was learned before; nobody is asked.
+    /// The etag of `subject` was learned before; nobody is asked.
     ///
     /// # Errors
     /// When `N` other subjects are in use.
     pub fn assume(&mut self, subject: Subject, etag: Etag) -> Result<(), BindingFull> {
         self.entry(subject)?.state = State::Bound(etag);
+        Ok(())
+    }
+
+    /// The etag of `subject` is fixed: nobody is asked, and nobody changes it.
+    ///
+    /// # Errors
+    /// When `N` other subjects are in use.
+    pub fn fix(&mut self, subject: Subject, etag: Etag) -> Result<(), BindingFull> {
+        self.entry(subject)?.state = State::Fixed(etag, Instant::EPOCH);
         Ok(())
     }
 
@@ -178,12 +220,7 @@ impl<const N: usize> Binding<N> {
 
     /// The etag of `subject`, if it is known.
     pub fn etag_of(&self, subject: Subject) -> Option<Etag> {
-        self.entries.iter().flatten().find(|entry| entry.subject == subject).and_then(|entry| {
-            match entry.state {
-                State::Bound(etag) => Some(etag),
-                State::Wanted | State::Refused { .. } => None,
-            }
-        })
+        self.entries.iter().flatten().find(|entry| entry.subject == subject)?.state.etag()
     }
 
     /// Takes a received frame.
@@ -195,7 +232,7 @@ impl<const N: usize> Binding<N> {
                     self.on_supply(now, supply);
                 }
             }
-            Etag::PROBE if Probe::decode(frame).is_some() && self.tx_node.is_some() => self.claim = Some(0),
+            Etag::PROBE if Probe::decode(frame).is_some() && self.tx_node.is_some() => self.probed = true,
             _ => {}
         }
     }
@@ -216,20 +253,21 @@ impl<const N: usize> Binding<N> {
         if self.asked.is_none() {
             self.ask_next(now, tx_node);
         }
-        self.send.take().or_else(|| self.next_claim(tx_node)).map(Output::Send)
+        self.send.take().or_else(|| self.next_claim(now, tx_node)).map(Output::Send)
     }
 
     /// When `poll` must be called even if no frame arrives.
     pub fn next_wakeup(&self) -> Option<Instant> {
         self.tx_node?; // without it nothing can be asked
-        if self.asked.is_some() {
-            return self.asked.map(|asked| asked.until);
+        let claim = self.probed.then_some(self.claim_at);
+        if let Some(asked) = self.asked {
+            return claim.into_iter().chain([asked.until]).min();
         }
         let retry = |entry: &Entry| match entry.state {
             State::Refused { until } => Some(until),
-            State::Wanted | State::Bound(_) => None,
+            State::Wanted | State::Bound(_) | State::Fixed(..) => None,
         };
-        self.entries.iter().flatten().filter_map(retry).min()
+        self.entries.iter().flatten().filter_map(retry).chain(claim).min()
     }
 
     /// An etag is withdrawn from its old subject before the new one is told of it.
@@ -260,9 +298,13 @@ impl<const N: usize> Binding<N> {
                 self.end_request(); // answered already, before ours was sent
             }
         }
+        let tell_again_at = now + self.timing.refused;
         if let Answer::Bound(etag) = supply.answer {
-            for entry in self.entries.iter_mut().flatten().filter(|entry| entry.subject != supply.subject) {
-                entry.lose(etag);
+            for entry in self.entries.iter_mut().flatten() {
+                entry.check_fixed(supply.subject, etag, now, tell_again_at);
+                if entry.subject != supply.subject {
+                    entry.lose(etag);
+                }
             }
         }
         let until = now + self.jitter.around(self.timing.refused);
@@ -276,7 +318,7 @@ impl<const N: usize> Binding<N> {
             match self.entries.get(*at).copied().flatten().map(|entry| entry.state) {
                 Some(State::Wanted) => true,
                 Some(State::Refused { until }) => now >= until,
-                Some(State::Bound(_)) | None => false,
+                Some(State::Bound(_) | State::Fixed(..)) | None => false,
             }
         });
         let Some(entry) = turn.and_then(|at| self.entries.get(at).copied().flatten()) else {
@@ -300,28 +342,49 @@ impl<const N: usize> Binding<N> {
         }
     }
 
-    fn next_claim(&mut self, tx_node: TxNode) -> Option<Frame> {
+    /// The next frame of an answer to a probe.
+    fn next_claim(&mut self, now: Instant, tx_node: TxNode) -> Option<Frame> {
         if let Some(second) = self.second_half.take() {
             return Some(second);
         }
-        let from = self.claim?;
-        let bound = self.entries.iter().enumerate().skip(from).find_map(|(at, place)| {
-            let entry = place.as_ref()?;
-            match entry.state {
-                State::Bound(etag) if etag >= Etag::BOUND_FIRST => Some((at, entry.subject, etag)),
-                _ => None,
+        // Twice at most: the end of one answer, and the begin of the next.
+        loop {
+            if self.claim.is_none() {
+                if !self.probed || now < self.claim_at {
+                    return None;
+                }
+                (self.probed, self.claim) = (false, Some(0));
+                self.claim_at = now + self.timing.between_claims;
             }
-        });
-        self.claim = bound.map(|(at, ..)| at + 1);
-        let (_, subject, etag) = bound?;
-        let [first, second] =
-            SupplyEtag::pair(tx_node, tx_node, subject, Answer::Bound(etag)).map(|half| half.encode());
-        self.second_half = Some(second);
-        Some(first)
+            let from = self.claim.take().unwrap_or(0);
+            let bound = self.entries.iter().enumerate().skip(from).find_map(|(at, place)| {
+                let entry = place.as_ref()?;
+                let etag = entry.state.etag().filter(|etag| *etag >= Etag::BOUND_FIRST)?;
+                Some((at, entry.subject, etag))
+            });
+            if let Some((at, subject, etag)) = bound {
+                self.claim = Some(at + 1);
+                let halves = SupplyEtag::pair(tx_node, tx_node, subject, Answer::Bound(etag));
+                let [first, second] = halves.map(|half| half.encode());
+                self.second_half = Some(second);
+                return Some(first);
+            }
+        }
     }
 }
 
 impl Entry {
+    /// `etag` belongs to `subject`, the broker says.
+    fn check_fixed(&mut self, subject: Subject, etag: Etag, now: Instant, tell_again_at: Instant) {
+        if let State::Fixed(fixed, tell_at) = self.state
+            && (self.subject == subject) != (fixed == etag)
+            && now >= tell_at
+        {
+            self.state = State::Fixed(fixed, tell_again_at);
+            self.untold = Some(BindingEvent::Contradicted { subject: self.subject, etag: fixed });
+        }
+    }
+
     /// `etag` belongs to another subject.
     fn lose(&mut self, etag: Etag) {
         let subject = self.subject;
@@ -335,13 +398,16 @@ impl Entry {
             Some(BindingEvent::Rebound { old, .. } | BindingEvent::Withdrawn { old, .. }) => {
                 Some(BindingEvent::Withdrawn { subject, old })
             }
-            Some(BindingEvent::Refused { .. }) | None => Some(BindingEvent::Withdrawn { subject, old: etag }),
+            Some(BindingEvent::Refused { .. } | BindingEvent::Contradicted { .. }) | None => {
+                Some(BindingEvent::Withdrawn { subject, old: etag })
+            }
         };
     }
 
     fn take(&mut self, answer: Answer, retry_at: Instant) {
         let subject = self.subject;
         match (self.state, answer) {
+            (State::Fixed(..), _) => {}
             (State::Bound(old), Answer::Bound(new)) if old == new => {}
             (State::Bound(old), Answer::Bound(new)) => {
                 self.state = State::Bound(new);

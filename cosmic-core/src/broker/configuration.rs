@@ -16,7 +16,11 @@
 //! its table. *Configured*: a frame of another sender with this TxNode means a conflict. The node defends
 //! its id by stating its UID, which makes a claiming node go; if the other stays, the one with the higher
 //! UID goes, and both if they have the same UID. That can only be between nodes that were configured
-//! apart, on a bus that was cut in two.
+//! apart, on a bus that was cut in two. A node whose id the plan gives to it alone does not go: see
+//! [`OnDuplicate`].
+//!
+//! A node answers probes and other senders with its id so many times a second, whatever comes: an answer
+//! that would come too early is put off, and then serves for all.
 
 use super::Output;
 use super::jitter::{Jitter, times};
@@ -57,6 +61,22 @@ impl ConfigurationTiming {
         claim: Duration::from_millis(60),
         conflict: Duration::from_secs(1),
     };
+}
+
+/// What a node with a fixed TxNode does when another node uses it, too. It tells its application, whatever it
+/// does.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum OnDuplicate {
+    /// It gives way to a node with a lower UID, so one of the two goes on working. Any node that states a low
+    /// UID often enough silences it.
+    Yield,
+    /// Once it works it stays, whatever others say. While it claims its id it still gives way to a node that
+    /// works with it already, as to one that was flashed with the same image; then it tries again.
+    Hold,
+    /// It stays, even if another node works with its id already. If that node is no mere nuisance, the two
+    /// destroy each other's frames.
+    Stay,
 }
 
 /// What the node is told.
@@ -110,11 +130,15 @@ struct Strikes {
 pub struct Configuration {
     uid: NodeUid,
     fixed: Option<TxNode>,
+    on_duplicate: OnDuplicate,
     timing: ConfigurationTiming,
     jitter: Jitter,
     state: State,
     failures: u8,
     strikes: Option<Strikes>,
+    identified_at: Option<Instant>,
+    /// An answer is due then.
+    answer_at: Option<Instant>,
     // What `poll` hands out: first the request that has become void, then events, then a frame. A newer
     // frame replaces an older one that nobody has fetched: it makes the older one void.
     request: Option<Frame>,
@@ -136,11 +160,14 @@ impl Configuration {
         Self {
             uid,
             fixed: None,
+            on_duplicate: OnDuplicate::Yield,
             timing,
             jitter,
             state: State::Idle { until },
             failures: 0,
             strikes: None,
+            identified_at: None,
+            answer_at: None,
             request: None,
             void: None,
             events: Ring::new(),
@@ -150,7 +177,7 @@ impl Configuration {
     }
 
     /// A node whose TxNode is fixed, in a cluster with or without a broker. It claims the id like any
-    /// other.
+    /// other, and yields, unless [`on_duplicate`](Self::on_duplicate) says otherwise.
     pub fn fixed(
         now: Instant,
         uid: NodeUid,
@@ -161,6 +188,16 @@ impl Configuration {
         let mut new = Self { fixed: Some(tx_node), ..Self::new(now, uid, noise, timing) };
         new.claim(now, tx_node);
         new
+    }
+
+    /// This node, whose TxNode is fixed, does this when another one uses it. Nothing changes for a node that
+    /// asks the broker.
+    #[must_use]
+    pub const fn on_duplicate(mut self, on_duplicate: OnDuplicate) -> Self {
+        if self.fixed.is_some() {
+            self.on_duplicate = on_duplicate;
+        }
+        self
     }
 
     /// The id, while it is ours to use.
@@ -207,7 +244,7 @@ impl Configuration {
                 let uid = NodeIdentity::decode(frame).map(|identity| identity.uid);
                 self.on_own_tx_node(now, frame.id.tx_node(), uid);
             }
-            Etag::PROBE if Probe::decode(frame).is_some() => self.identify(),
+            Etag::PROBE if Probe::decode(frame).is_some() => self.answer(now),
             _ => {}
         }
     }
@@ -216,6 +253,9 @@ impl Configuration {
     pub fn poll(&mut self, now: Instant) -> Option<Output<ConfigurationEvent>> {
         if now >= self.wakes_at().unwrap_or(Instant::FAR_FUTURE) {
             self.on_time_out(now);
+        }
+        if self.answer_at.is_some_and(|at| now >= at) {
+            self.identify(now);
         }
         if let Some(frame) = self.void.take() {
             return Some(Output::Withdraw(frame));
@@ -228,7 +268,7 @@ impl Configuration {
 
     /// When `poll` must be called even if no frame arrives.
     pub fn next_wakeup(&self) -> Option<Instant> {
-        self.wakes_at()
+        [self.wakes_at(), self.answer_at].into_iter().flatten().min()
     }
 
     fn wakes_at(&self) -> Option<Instant> {
@@ -254,7 +294,7 @@ impl Configuration {
             State::Asking { .. } => self.back_off(now),
             // At no fixed time: the claims of two nodes with one UID would be one frame.
             State::Claiming { tx_node, claim_at, claims: claims @ 1.., until } => {
-                self.identify();
+                self.identify(now);
                 let third = self.third_of_claim();
                 let claim_at =
                     claim_at + Duration::from_ticks(third.as_ticks() / 2) + self.jitter.below(third);
@@ -276,7 +316,7 @@ impl Configuration {
             (State::Claiming { tx_node, .. }, ConfigurationReply::Assigned { uid, tx_node: assigned }) => {
                 // The broker does not know us under this id, or a second broker gives it to another node.
                 if uid != self.uid && assigned == tx_node {
-                    self.identify();
+                    self.answer(now);
                 }
             }
             (
@@ -338,38 +378,46 @@ impl Configuration {
         let settled = now >= since + self.timing.claim;
         if (uid != self.uid && assigned == tx_node) || (uid == self.uid && settled) {
             self.report_conflict(now, tx_node, Some(uid));
-            self.identify();
+            self.answer(now);
         }
     }
 
     /// Another node sent with the id that we have or claim.
     fn on_own_tx_node(&mut self, now: Instant, tx_node: TxNode, other: Option<NodeUid>) {
-        if let State::Claiming { .. } = self.state {
-            // Whoever has it keeps it. It has heard our claim, and states its UID, so the broker learns.
-            self.report_conflict(now, tx_node, other);
-            if other.is_some() {
-                self.send = None;
-            }
-            self.strikes = None;
-            self.failures = self.failures.saturating_add(1);
-            let pause = if self.fixed.is_some() || other == Some(self.uid) {
-                self.timing.longest_back_off
-            } else {
-                self.timing.back_off
-            };
-            self.state = State::Idle { until: now + self.jitter.around(pause) };
-            return;
-        }
         let strikes = self.report_conflict(now, tx_node, other);
-        let yields = other.is_some_and(|other| other <= self.uid) && strikes >= MAX_STRIKES;
-        if yields {
-            self.strikes = None;
-            self.tell(ConfigurationEvent::Lost(tx_node));
-            self.send = None;
-            self.state = State::Idle { until: now + self.jitter.around(self.timing.longest_back_off) };
-        } else {
-            self.identify();
+        match self.state {
+            State::Claiming { .. } if self.on_duplicate != OnDuplicate::Stay => self.give_way(now, other),
+            State::Claiming { .. } => {}
+            _ if self.yields_to(other) && strikes >= MAX_STRIKES => {
+                self.strikes = None;
+                self.tell(ConfigurationEvent::Lost(tx_node));
+                self.send = None;
+                self.state = State::Idle { until: now + self.jitter.around(self.timing.longest_back_off) };
+            }
+            // A node that has heard so many answers knows, and would answer each of them.
+            _ if other.is_some() && strikes > MAX_STRIKES => {}
+            _ => self.answer(now),
         }
+    }
+
+    fn yields_to(&self, other: Option<NodeUid>) -> bool {
+        self.on_duplicate == OnDuplicate::Yield && other.is_some_and(|other| other <= self.uid)
+    }
+
+    /// Ends a claim: whoever has the id keeps it. It has heard our claim, and states its UID, so the broker
+    /// learns.
+    fn give_way(&mut self, now: Instant, other: Option<NodeUid>) {
+        if other.is_some() {
+            self.send = None;
+        }
+        self.strikes = None;
+        self.failures = self.failures.saturating_add(1);
+        let pause = if self.fixed.is_some() || other == Some(self.uid) {
+            self.timing.longest_back_off
+        } else {
+            self.timing.back_off
+        };
+        self.state = State::Idle { until: now + self.jitter.around(pause) };
     }
 
     /// Counts a conflict, and tells of the first in its span. Returns how many the other's identity made.
@@ -426,8 +474,18 @@ impl Configuration {
         }
     }
 
-    fn identify(&mut self) {
+    /// States who has the id; not more often than a claiming node can wait for.
+    fn answer(&mut self, now: Instant) {
+        if self.claimed().is_some() {
+            let soonest = self.identified_at.map_or(now, |at| now.max(at + self.third_of_claim()));
+            self.answer_at = Some(self.answer_at.map_or(soonest, |at| at.min(soonest)));
+        }
+    }
+
+    fn identify(&mut self, now: Instant) {
+        self.answer_at = None;
         if let Some(tx_node) = self.claimed() {
+            self.identified_at = Some(now);
             self.send = Some(NodeIdentity { tx_node, uid: self.uid }.encode());
         }
     }

@@ -32,7 +32,7 @@ mod session;
 mod tables;
 
 pub use binding::{Binding, BindingEvent, BindingFull, BindingTiming};
-pub use configuration::{Configuration, ConfigurationEvent, ConfigurationTiming};
+pub use configuration::{Configuration, ConfigurationEvent, ConfigurationTiming, OnDuplicate};
 pub use ecb::{Broker, BrokerCounters, BrokerEvent, BrokerTiming, Role};
 pub use tables::{Conflict, Nodes, Subjects};
 

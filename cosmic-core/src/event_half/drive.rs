@@ -62,6 +62,8 @@ impl<
         if self.is_mine(frame) {
             // No node hears itself: another one uses this TxNode.
             self.services.on_frame(frame, received_at);
+        } else if S::WATCHES_EVENTS {
+            self.services.on_event(frame.id, received_at);
         }
     }
 
@@ -238,6 +240,9 @@ impl<
         if frame.id.etag().is_reserved() || self.is_mine(frame) {
             self.services.on_frame(frame, received_at);
         } else {
+            if S::WATCHES_EVENTS {
+                self.services.on_event(frame.id, received_at);
+            }
             self.foreign = self.foreign.wrapping_add(1);
         }
     }

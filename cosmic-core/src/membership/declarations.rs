@@ -47,12 +47,14 @@ pub struct Declarations<const N: usize> {
     entries: [Option<Entry>; N],
     lease: Lease,
     tx_node: Option<TxNode>,
+    /// When the last probe is, or was, answered.
+    answer_at: Option<Instant>,
 }
 
 impl<const N: usize> Declarations<N> {
     /// Nothing is declared; each declaration will hold for `lease` and be refreshed three times in it.
     pub const fn new(lease: Lease) -> Self {
-        Self { entries: [None; N], lease, tx_node: None }
+        Self { entries: [None; N], lease, tx_node: None, answer_at: None }
     }
 
     /// The node has this TxNode from now on, or none and is silent.
@@ -97,7 +99,7 @@ impl<const N: usize> Declarations<N> {
             Etag::INTEREST => self.on_interest(&Interest::decode(frame)?),
             Etag::PROBE => {
                 Probe::decode(frame)?;
-                self.send_all(now);
+                self.answer(now);
                 None
             }
             _ => None,
@@ -141,9 +143,18 @@ impl<const N: usize> Declarations<N> {
         told
     }
 
-    fn send_all(&mut self, now: Instant) {
+    fn send_all(&mut self, at: Instant) {
         for entry in self.entries.iter_mut().flatten() {
-            entry.send_at = now;
+            entry.send_at = entry.send_at.min(at);
+        }
+    }
+
+    /// Tells all interest, unless that was just done: then a little later.
+    fn answer(&mut self, now: Instant) {
+        if self.answer_at.is_none_or(|at| at < now) {
+            let at = self.answer_at.map_or(now, |last| now.max(last + BETWEEN_ANSWERS));
+            self.answer_at = Some(at);
+            self.send_all(at);
         }
     }
 
@@ -157,6 +168,9 @@ impl<const N: usize> Declarations<N> {
 fn refresh_period(lease: Lease) -> Duration {
     Duration::from_ticks(lease.duration().as_ticks() / 3)
 }
+
+/// Between two answers to probes, at least.
+const BETWEEN_ANSWERS: Duration = Duration::from_millis(200);
 
 #[cfg(test)]
 mod tests {
@@ -213,6 +227,22 @@ mod tests {
         assert_eq!(sent(&mut declarations, at(0)).len(), 2);
         assert_eq!(declarations.on_frame(at(10), &Probe { tx_node: OTHER }.encode()), None);
         assert_eq!(sent(&mut declarations, at(10)).len(), 2);
+    }
+
+    #[test]
+    fn a_flood_of_probes_is_answered_five_times_a_second() {
+        let mut declarations = declared(7);
+        let mut answers = 0;
+        for now in 0..2000 {
+            let _ = declarations.on_frame(at(now), &Probe { tx_node: OTHER }.encode());
+            answers += sent(&mut declarations, at(now)).len();
+        }
+        assert_eq!(answers, 10);
+        // The last of them is not forgotten.
+        assert_eq!(
+            (declarations.next_wakeup(), sent(&mut declarations, at(2000)).len()),
+            (Some(at(2000)), 1)
+        );
     }
 
     #[test]

@@ -6,12 +6,16 @@
 //! [`Request`]s.
 
 mod clock;
+mod config;
+mod hosted;
 mod node;
 
 pub use clock::ClockService;
-pub use node::{Hosted, News, NodeConfig, NodeServices};
+pub use config::{News, NodeConfig};
+pub use hosted::Hosted;
+pub use node::NodeServices;
 
-use crate::can::{ErrorCounters, Etag, Frame, TxNode};
+use crate::can::{ErrorCounters, Etag, Frame, Id, TxNode};
 use crate::event_layer::ExceptionKind;
 use crate::protocol::{Class, LayoutHash};
 use crate::time::{GlobalClock, Instant};
@@ -82,6 +86,14 @@ pub struct NodeView {
 /// [`declare`](Self::declare) what the node does on a channel, each time that it changes. After any of
 /// them, and at [`next_wakeup`](Self::next_wakeup), [`poll`](Self::poll) is called until it returns `None`.
 pub trait Services {
+    /// Whether [`on_event`](Self::on_event) does anything. A constant, so that a node whose services do not
+    /// watch events pays nothing for it.
+    const WATCHES_EVENTS: bool = false;
+    /// An event of another node has arrived, on a soft or non real-time channel, whether this node takes part
+    /// in it or not.
+    fn on_event(&mut self, id: Id, received_at: Instant) {
+        let _ = (id, received_at);
+    }
     /// A control frame has arrived.
     fn on_frame(&mut self, frame: &Frame, received_at: Instant);
     /// A frame of a service has been sent.

@@ -1,143 +1,17 @@
 //! All services together, as a node of a cluster that configures itself needs them.
 
-use super::{Declaration, NodeView, Request, Services, TooMany};
-use crate::broker::{
-    Binding, BindingEvent, BindingTiming, Broker, BrokerEvent, Configuration, ConfigurationEvent,
-    ConfigurationTiming, Output,
-};
+use super::{Declaration, Hosted, News, NodeConfig, NodeView, Request, Services, TooMany};
+use crate::broker::{Binding, BindingEvent, Configuration, ConfigurationEvent, Output};
 use crate::calendar::Calendar;
-use crate::can::{Etag, Frame, TxNode};
+use crate::can::{Etag, Frame, Id, TxNode};
 use crate::event_layer::ExceptionKind;
-use crate::membership::{Declarations, Health, InterestEvent, Interests, MemberEvent, Members, StatusReport};
-use crate::protocol::{Class, LayoutHash, Lease, NodeState, Side};
+use crate::membership::{Declarations, Health, Interests, MemberEvent, Members, StatusReport};
+use crate::protocol::{Class, LayoutHash, NodeState, Side};
 use crate::ring::Ring;
 use crate::services::ClockService;
-use crate::time::sync::{ClockEvent, SyncConfig, SyncConfigError};
+use crate::time::sync::SyncConfigError;
 use crate::time::{Duration, Instant};
-use crate::uid::{NodeUid, Subject};
-
-/// What a node must know to take part in all services.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct NodeConfig {
-    /// Its long name.
-    pub uid: NodeUid,
-    /// Its TxNode, if that is fixed. The first broker of a cluster needs one.
-    pub tx_node: Option<TxNode>,
-    /// Anything that differs between nodes and starts; see [`Configuration::new`].
-    pub noise: u64,
-    /// Of the clock synchronisation.
-    pub clock: SyncConfig,
-    /// Of the configuration client.
-    pub configuration: ConfigurationTiming,
-    /// Of the binding client.
-    pub binding: BindingTiming,
-    /// How long the interest of this node holds if it is not refreshed.
-    pub lease: Lease,
-    /// The span between two status frames; a node is taken for dead after three and a half.
-    pub status_period: Duration,
-}
-
-impl NodeConfig {
-    /// Usual values for a node with this name.
-    pub const fn new(uid: NodeUid) -> Self {
-        Self {
-            uid,
-            tx_node: None,
-            noise: 0,
-            clock: SyncConfig::DEFAULT,
-            configuration: ConfigurationTiming::DEFAULT,
-            binding: BindingTiming::DEFAULT,
-            lease: DEFAULT_LEASE,
-            status_period: Duration::from_millis(500),
-        }
-    }
-}
-
-const DEFAULT_LEASE: Lease = Lease::new(Duration::from_secs(10)).expect("ten seconds are a lease");
-
-/// Something that the application may want to know of the cluster.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum News {
-    /// This node has its TxNode, or has lost it.
-    Configuration(ConfigurationEvent),
-    /// Another node has come or gone.
-    Member(MemberEvent),
-    /// Interest in a channel has begun or ended.
-    Interest(InterestEvent),
-    /// The clock has another master, or something happened to it.
-    Clock(ClockEvent),
-    /// The broker that this node hosts did something.
-    Broker(BrokerEvent),
-}
-
-/// A broker that a node hosts, or `()`.
-pub trait Hosted {
-    /// As [`Broker::set_tx_node`].
-    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>);
-    /// As [`Broker::on_frame`].
-    fn on_frame(&mut self, now: Instant, frame: &Frame);
-    /// As [`Broker::poll`].
-    fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>>;
-    /// As [`Broker::next_wakeup`].
-    fn next_wakeup(&self) -> Option<Instant>;
-}
-
-impl Hosted for () {
-    fn set_tx_node(&mut self, _: Instant, _: Option<TxNode>) {}
-
-    fn on_frame(&mut self, _: Instant, _: &Frame) {}
-
-    fn poll(&mut self, _: Instant) -> Option<Output<BrokerEvent>> {
-        None
-    }
-
-    fn next_wakeup(&self) -> Option<Instant> {
-        None
-    }
-}
-
-impl<const NODES: usize, const SUBJECTS: usize> Hosted for Broker<NODES, SUBJECTS> {
-    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
-        Broker::set_tx_node(self, now, tx_node);
-    }
-
-    fn on_frame(&mut self, now: Instant, frame: &Frame) {
-        Broker::on_frame(self, now, frame);
-    }
-
-    fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>> {
-        Broker::poll(self, now)
-    }
-
-    fn next_wakeup(&self) -> Option<Instant> {
-        Broker::next_wakeup(self)
-    }
-}
-
-/// `None` hosts no broker, so one program can decide at start.
-impl<B: Hosted> Hosted for Option<B> {
-    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
-        if let Some(broker) = self {
-            broker.set_tx_node(now, tx_node);
-        }
-    }
-
-    fn on_frame(&mut self, now: Instant, frame: &Frame) {
-        if let Some(broker) = self {
-            broker.on_frame(now, frame);
-        }
-    }
-
-    fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>> {
-        self.as_mut()?.poll(now)
-    }
-
-    fn next_wakeup(&self) -> Option<Instant> {
-        self.as_ref()?.next_wakeup()
-    }
-}
+use crate::uid::Subject;
 
 /// A channel of this node, as far as the services are concerned.
 #[derive(Clone, Copy, Debug)]
@@ -201,7 +75,8 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         const { assert!(DECLARATIONS >= 2 * CHANNELS, "two declarations for each channel") };
         let &NodeConfig { uid, noise, status_period, .. } = config;
         let configuration = match config.tx_node {
-            Some(tx_node) => Configuration::fixed(now, uid, tx_node, noise, config.configuration),
+            Some(tx_node) => Configuration::fixed(now, uid, tx_node, noise, config.configuration)
+                .on_duplicate(config.on_duplicate(tx_node, calendar)),
             None => Configuration::new(now, uid, noise, config.configuration),
         };
         let silence = Duration::from_ticks(status_period.as_ticks().saturating_mul(7) / 2);
@@ -326,6 +201,9 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
                     self.ask(Request::Exception(Some(subject), ExceptionKind::BindingRefused));
                     Some(self.on_unbound(subject, now))
                 }
+                BindingEvent::Contradicted { subject, .. } => {
+                    Some(Request::Exception(Some(subject), ExceptionKind::BindingRefused))
+                }
             },
         }
     }
@@ -415,6 +293,8 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     fn poll_membership(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
         if let Some(frame) = self.declarations.poll(now) {
+            // As for the frames of the binding client.
+            self.broker.on_frame(now, &frame);
             return Some(Request::Send(frame));
         }
         while let Some(event) = self.members.poll(now) {
@@ -453,6 +333,14 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const INTERESTS: usize, B: Hosted>
     Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
 {
+    const WATCHES_EVENTS: bool = B::WATCHES_EVENTS;
+
+    fn on_event(&mut self, id: Id, received_at: Instant) {
+        if self.broker.on_event(received_at, id) {
+            self.idle_until = Instant::EPOCH;
+        }
+    }
+
     fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         self.idle_until = Instant::EPOCH;
         self.configuration.on_frame(received_at, frame);
@@ -491,9 +379,13 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         let at = (self.wanted.iter().position(known))
             .or_else(|| self.wanted.iter().position(Option::is_none))
             .ok_or(TooMany)?;
+        let fixed = etag;
         let etag = etag.or_else(|| self.binding.etag_of(subject));
         let wanted = publishes || subscribes;
         match etag {
+            Some(etag) if wanted && fixed.is_some() => {
+                self.binding.fix(subject, etag).map_err(|_| TooMany)?;
+            }
             Some(etag) if wanted => self.binding.assume(subject, etag).map_err(|_| TooMany)?,
             None if wanted => self.binding.bind(subject).map_err(|_| TooMany)?,
             Some(_) => {}

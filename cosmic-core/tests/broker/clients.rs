@@ -5,7 +5,7 @@ use cosmic_core::can::{Etag, Frame, TxNode};
 use cosmic_core::protocol::*;
 use cosmic_core::time::{Duration, Instant};
 
-use crate::ether::{subject, tx_node, uid};
+use crate::ether::{from_candump, subject, tx_node, uid};
 
 const TIMING: ConfigurationTiming = ConfigurationTiming::DEFAULT;
 
@@ -33,6 +33,8 @@ fn outputs(client: &mut Configuration, now: Instant) -> Vec<Output<Configuration
     core::iter::from_fn(|| client.poll(now)).collect()
 }
 
+/// A third of the time for which a claiming node listens.
+const BETWEEN_ANSWERS: Duration = Duration::from_millis(20);
 const UID: u64 = 0x1234_0000_0000_0000;
 
 /// A client whose first request is out.
@@ -44,7 +46,7 @@ fn asking() -> (Configuration, Instant) {
     (client, now)
 }
 
-/// A client that has got the id 9.
+/// A client that has got the id 9, and has stated it some time ago.
 fn configured() -> (Configuration, Instant) {
     let (mut client, mut now) = asking();
     client.on_frame(now, &assigned(UID, 9));
@@ -57,7 +59,7 @@ fn configured() -> (Configuration, Instant) {
     let event = Output::Event(ConfigurationEvent::Configured(tx_node(9)));
     // The answer to another's request made our own one void.
     assert_eq!(all, [Output::Withdraw(request(UID, 15)), identity, identity, event]);
-    (client, now)
+    (client, now + BETWEEN_ANSWERS)
 }
 
 #[test]
@@ -127,14 +129,17 @@ fn a_refused_node_pauses() {
 
 #[test]
 fn a_node_defends_its_id_and_yields_only_to_one_that_stays() {
-    let (mut client, now) = configured();
+    let (mut client, mut now) = configured();
     let mine = Output::Send(NodeIdentity { tx_node: tx_node(9), uid: uid(UID) }.encode());
     let theirs = NodeIdentity { tx_node: tx_node(9), uid: uid(5) }.encode();
     let conflict = ConfigurationEvent::Conflict { tx_node: tx_node(9), other: Some(uid(5)) };
     client.on_frame(now, &theirs);
     assert_eq!(outputs(&mut client, now), [Output::Event(conflict), mine]);
     client.on_frame(now, &theirs);
-    assert_eq!(outputs(&mut client, now), [mine], "told once");
+    assert_eq!(outputs(&mut client, now), [], "told once, and answered a little later");
+    now = now + BETWEEN_ANSWERS;
+    assert_eq!(client.next_wakeup(), Some(now));
+    assert_eq!(outputs(&mut client, now), [mine]);
     client.on_frame(now, &theirs);
     assert_eq!(outputs(&mut client, now), [Output::Event(ConfigurationEvent::Lost(tx_node(9)))]);
     assert_eq!(client.tx_node(), None);
@@ -190,6 +195,112 @@ fn a_probe_is_answered_and_a_release_is_the_last_word() {
     client.on_frame(now, &Probe { tx_node: tx_node(3) }.encode());
     client.on_frame(now, &ConfigurationReply::Restart.encode());
     assert_eq!((outputs(&mut client, now), client.next_wakeup()), (vec![], None));
+}
+
+/// Frames from one sender, one in a millisecond.
+fn flood(
+    client: &mut Configuration,
+    from: Instant,
+    frame: &Frame,
+    count: u64,
+) -> Vec<Output<ConfigurationEvent>> {
+    let times = (0..count).map(|ms| from + Duration::from_millis(ms));
+    let answers = times.flat_map(|now| {
+        client.on_frame(now, frame);
+        outputs(client, now)
+    });
+    answers.collect()
+}
+
+fn is_frame<Event>(output: &Output<Event>) -> bool {
+    matches!(output, Output::Send(_))
+}
+
+#[test]
+fn a_flood_is_answered_fifty_times_a_second_at_most() {
+    for frame in ["1F40C008#", "1F424013#0100000100000001", "00224FFF#"] {
+        let (mut client, now) = configured();
+        let answers = flood(&mut client, now, &from_candump(frame), 3000);
+        assert_eq!(answers.iter().filter(|out| is_frame(out)).count(), 150, "{frame}");
+        assert!(answers.len() <= 153, "one conflict a second is told: {frame}");
+    }
+    // Identities of a higher UID: after three in a second the other knows.
+    let (mut client, now) = configured();
+    let answers = flood(&mut client, now, &from_candump("1F424007#FF00000000000000"), 3000);
+    assert!(answers.iter().filter(|out| is_frame(out)).count() <= 9, "{answers:?}");
+    assert_eq!(client.tx_node(), Some(tx_node(9)));
+}
+
+/// A client with the fixed id 9, which works.
+fn fixed(on_duplicate: OnDuplicate) -> (Configuration, Instant) {
+    let client = Configuration::fixed(at(0), uid(UID), tx_node(9), 0, TIMING);
+    let mut client = client.on_duplicate(on_duplicate);
+    let mut now = at(0);
+    while client.tx_node().is_none() {
+        now = client.next_wakeup().unwrap();
+        let _ = outputs(&mut client, now);
+    }
+    (client, now + BETWEEN_ANSWERS)
+}
+
+#[test]
+fn a_node_that_holds_its_id_is_not_silenced_by_any_identities() {
+    // UID 1, which is lower than any.
+    let low = from_candump("1F424007#0000000000000001");
+    let conflict = ConfigurationEvent::Conflict { tx_node: tx_node(9), other: Some(uid(1)) };
+    for stays in [OnDuplicate::Hold, OnDuplicate::Stay] {
+        let (mut client, now) = fixed(stays);
+        let all = flood(&mut client, now, &low, 31);
+        assert_eq!(client.tx_node(), Some(tx_node(9)));
+        assert_eq!(all[0], Output::Event(conflict));
+        assert_eq!(all.iter().filter(|out| !is_frame(out)).count(), 1, "told once in a second");
+        assert!(all.len() <= 4, "{all:?}");
+        let all = flood(&mut client, now + Duration::from_secs(1), &low, 10_000);
+        assert_eq!(all.iter().filter(|out| **out == Output::Event(conflict)).count(), 10);
+        assert!(all.len() <= 40, "{}", all.len());
+        assert_eq!(client.tx_node(), Some(tx_node(9)));
+    }
+    let (mut client, now) = fixed(OnDuplicate::Yield);
+    let _ = flood(&mut client, now, &low, 31);
+    assert_eq!(client.tx_node(), None, "any other yields");
+}
+
+#[test]
+fn a_node_that_holds_its_id_lets_one_that_works_with_it_already() {
+    let low = from_candump("1F424007#0000000000000001");
+    for (stays, works) in [(OnDuplicate::Hold, false), (OnDuplicate::Stay, true)] {
+        let client = Configuration::fixed(at(0), uid(UID), tx_node(9), 0, TIMING);
+        let mut client = client.on_duplicate(stays);
+        // The other one answers each claim.
+        let mut told = 0;
+        for now in (0..20_000).map(at) {
+            let all = outputs(&mut client, now);
+            told += all
+                .iter()
+                .filter(|out| matches!(out, Output::Event(ConfigurationEvent::Conflict { .. })))
+                .count();
+            if all.iter().any(is_frame) {
+                client.on_frame(now, &low);
+            }
+        }
+        assert_eq!(client.tx_node().is_some(), works, "{stays:?}");
+        assert!(told > 0);
+    }
+}
+
+#[test]
+fn what_a_node_does_on_a_duplicate_is_for_fixed_ids_only() {
+    let mut client = Configuration::new(at(0), uid(UID), 0, TIMING).on_duplicate(OnDuplicate::Stay);
+    client.on_frame(at(30), &assigned(UID, 9));
+    let now = at(30);
+    let _ = outputs(&mut client, now);
+    client.on_frame(now, &assigned(UID, 9));
+    while client.tx_node().is_none() {
+        let now = client.next_wakeup().unwrap();
+        let _ = outputs(&mut client, now);
+    }
+    let _ = flood(&mut client, at(500), &from_candump("1F424007#0000000000000001"), 31);
+    assert_eq!(client.tx_node(), None);
 }
 
 fn binding_outputs<const N: usize>(client: &mut Binding<N>, now: Instant) -> Vec<Output<BindingEvent>> {
@@ -296,6 +407,55 @@ fn a_subject_is_bound_anew() {
     client.on_frame(at(2), &Probe { tx_node: tx_node(3) }.encode());
     let claim = supply(tx_node(4), 4, 1, Answer::Bound(new)).map(Output::Send);
     assert_eq!(binding_outputs(&mut client, at(2)), claim);
+}
+
+#[test]
+fn a_flood_of_probes_is_answered_five_times_a_second() {
+    let mut client = Binding::<3>::new(0, BindingTiming::DEFAULT);
+    for of in 1..=3 {
+        client.assume(subject(of), Etag::new(0x3000 + of as u16).unwrap()).unwrap();
+    }
+    client.set_tx_node(Some(tx_node(4)));
+    let mut claims = Vec::new();
+    for now in (0..2000).map(at) {
+        client.on_frame(now, &from_candump("1F40C008#"));
+        // The bus takes one frame a millisecond.
+        claims.extend(client.poll(now));
+    }
+    let round: Vec<_> = (1..=3)
+        .flat_map(|of| supply(tx_node(4), 4, of, Answer::Bound(Etag::new(0x3000 + of as u16).unwrap())))
+        .map(Output::Send)
+        .collect();
+    assert_eq!(claims, round.repeat(10), "each of them whole");
+    assert_eq!(client.next_wakeup(), Some(at(2000)), "the last probe is not forgotten");
+    assert_eq!(binding_outputs(&mut client, at(2000)), round);
+}
+
+/// Forged frames would otherwise move a channel of a cluster without a broker, for good.
+#[test]
+fn an_etag_that_is_fixed_stays() {
+    for fixed in [ETAG, Etag::HARD_FIRST] {
+        let mut client = Binding::<2>::new(0, BindingTiming::DEFAULT);
+        client.set_tx_node(Some(tx_node(4)));
+        client.fix(subject(1), fixed).unwrap();
+        let contradicted = [Output::Event(BindingEvent::Contradicted { subject: subject(1), etag: fixed })];
+        let mut hear = |now, of, answer| {
+            supply(TxNode::BROKER, 9, of, answer).iter().for_each(|half| client.on_frame(now, half));
+            let outputs = binding_outputs(&mut client, now);
+            assert_eq!(client.etag_of(subject(1)), Some(fixed));
+            outputs
+        };
+        let other = Answer::Bound(Etag::new(0x3000).unwrap());
+        assert_eq!(hear(at(1), 1, other), contradicted);
+        assert_eq!(hear(at(1500), 1, other), [], "told once in two seconds");
+        assert_eq!(hear(at(2001), 1, other), contradicted);
+        assert_eq!(hear(at(5000), 1, Answer::Refused), []);
+        assert_eq!(hear(at(5000), 2, other), [], "that concerns nobody here");
+        if fixed == ETAG {
+            assert_eq!(hear(at(5000), 1, Answer::Bound(ETAG)), [], "that is right");
+            assert_eq!(hear(at(5000), 2, Answer::Bound(ETAG)), contradicted);
+        }
+    }
 }
 
 #[test]

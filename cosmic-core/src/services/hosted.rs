@@ -1,0 +1,94 @@
+//! What a node hosts for others: a broker, or nothing.
+
+use crate::broker::{Broker, BrokerEvent, Output};
+use crate::can::{Frame, Id, TxNode};
+use crate::time::Instant;
+
+/// A broker that a node hosts, or `()`.
+pub trait Hosted {
+    /// Whether [`on_event`](Self::on_event) does anything.
+    const WATCHES_EVENTS: bool;
+    /// As [`Broker::on_event`].
+    fn on_event(&mut self, now: Instant, id: Id) -> bool;
+    /// As [`Broker::set_tx_node`].
+    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>);
+    /// As [`Broker::on_frame`].
+    fn on_frame(&mut self, now: Instant, frame: &Frame);
+    /// As [`Broker::poll`].
+    fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>>;
+    /// As [`Broker::next_wakeup`].
+    fn next_wakeup(&self) -> Option<Instant>;
+}
+
+impl Hosted for () {
+    const WATCHES_EVENTS: bool = false;
+
+    fn on_event(&mut self, _: Instant, _: Id) -> bool {
+        false
+    }
+
+    fn set_tx_node(&mut self, _: Instant, _: Option<TxNode>) {}
+
+    fn on_frame(&mut self, _: Instant, _: &Frame) {}
+
+    fn poll(&mut self, _: Instant) -> Option<Output<BrokerEvent>> {
+        None
+    }
+
+    fn next_wakeup(&self) -> Option<Instant> {
+        None
+    }
+}
+
+impl<const NODES: usize, const SUBJECTS: usize> Hosted for Broker<NODES, SUBJECTS> {
+    const WATCHES_EVENTS: bool = true;
+
+    fn on_event(&mut self, now: Instant, id: Id) -> bool {
+        Broker::on_event(self, now, id)
+    }
+
+    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
+        Broker::set_tx_node(self, now, tx_node);
+    }
+
+    fn on_frame(&mut self, now: Instant, frame: &Frame) {
+        Broker::on_frame(self, now, frame);
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>> {
+        Broker::poll(self, now)
+    }
+
+    fn next_wakeup(&self) -> Option<Instant> {
+        Broker::next_wakeup(self)
+    }
+}
+
+/// `None` hosts no broker, so one program can decide at start.
+impl<B: Hosted> Hosted for Option<B> {
+    const WATCHES_EVENTS: bool = B::WATCHES_EVENTS;
+
+    fn on_event(&mut self, now: Instant, id: Id) -> bool {
+        self.as_mut().is_some_and(|broker| broker.on_event(now, id))
+    }
+
+    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
+        if let Some(broker) = self {
+            broker.set_tx_node(now, tx_node);
+        }
+    }
+
+    fn on_frame(&mut self, now: Instant, frame: &Frame) {
+        if let Some(broker) = self {
+            broker.on_frame(now, frame);
+        }
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>> {
+        self.as_mut()?.poll(now)
+    }
+
+    fn next_wakeup(&self) -> Option<Instant> {
+        self.as_ref()?.next_wakeup()
+    }
+}
