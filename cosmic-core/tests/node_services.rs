@@ -69,9 +69,7 @@ struct Node<S> {
 impl<S: Services> Node<S> {
     fn new(services: S) -> Self {
         let hard = HrtBuffers::new(GlobalClock::unsynchronised());
-        Self {
-            half: Half::new(Some(PUBLISHER), &CALENDAR, services, hard),
-        }
+        Self { half: Half::new(Some(PUBLISHER), &CALENDAR, services, hard) }
     }
 
     /// All that the node sends at this time; the bus is idle.
