@@ -329,7 +329,13 @@ impl Configuration {
             // A node that pauses takes no part: it failed, or was refused, and gives way to others.
             (State::Idle { .. }, _) => {}
             _ if self.fixed.is_some() => {}
-            (_, ConfigurationReply::Assigned { uid, tx_node }) if uid == self.uid => self.claim(now, tx_node),
+            // Only the answer to the question for the last nibble: a forged one at another time could make
+            // this node take the id of a node that is about to start.
+            (State::Asking { stage: Stage::LAST, .. }, ConfigurationReply::Assigned { uid, tx_node })
+                if uid == self.uid =>
+            {
+                self.claim(now, tx_node);
+            }
             (_, ConfigurationReply::Prefix(prefix)) => self.on_prefix(now, prefix),
             (_, ConfigurationReply::Assigned { .. } | ConfigurationReply::Restart) => self.begin_again(now),
         }

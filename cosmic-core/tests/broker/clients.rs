@@ -49,6 +49,9 @@ fn asking() -> (Configuration, Instant) {
 /// A client that has got the id 9, and has stated it some time ago.
 fn configured() -> (Configuration, Instant) {
     let (mut client, mut now) = asking();
+    client.on_frame(now, &prefix(UID, 1));
+    let last = [Output::Withdraw(request(UID, 15)), Output::Send(request(UID, 0))];
+    assert_eq!(outputs(&mut client, now), last);
     client.on_frame(now, &assigned(UID, 9));
     let mut all = Vec::new();
     while client.tx_node().is_none() {
@@ -58,7 +61,7 @@ fn configured() -> (Configuration, Instant) {
     let identity = Output::Send(NodeIdentity { tx_node: tx_node(9), uid: uid(UID) }.encode());
     let event = Output::Event(ConfigurationEvent::Configured(tx_node(9)));
     // The answer to another's request made our own one void.
-    assert_eq!(all, [Output::Withdraw(request(UID, 15)), identity, identity, event]);
+    assert_eq!(all, [Output::Withdraw(request(UID, 0)), identity, identity, event]);
     (client, now + BETWEEN_ANSWERS)
 }
 
@@ -290,17 +293,18 @@ fn a_node_that_holds_its_id_lets_one_that_works_with_it_already() {
 
 #[test]
 fn what_a_node_does_on_a_duplicate_is_for_fixed_ids_only() {
-    let mut client = Configuration::new(at(0), uid(UID), 0, TIMING).on_duplicate(OnDuplicate::Stay);
-    client.on_frame(at(30), &assigned(UID, 9));
-    let now = at(30);
-    let _ = outputs(&mut client, now);
-    client.on_frame(now, &assigned(UID, 9));
-    while client.tx_node().is_none() {
-        let now = client.next_wakeup().unwrap();
-        let _ = outputs(&mut client, now);
-    }
-    let _ = flood(&mut client, at(500), &from_candump("1F424007#0000000000000001"), 31);
+    let (client, now) = configured();
+    let mut client = client.on_duplicate(OnDuplicate::Stay);
+    let _ = flood(&mut client, now, &from_candump("1F424007#0000000000000001"), 31);
     assert_eq!(client.tx_node(), None);
+}
+
+#[test]
+fn an_id_counts_only_as_the_answer_to_the_last_question() {
+    let (mut client, now) = asking();
+    client.on_frame(now, &assigned(UID, 9));
+    let again = [Output::Withdraw(request(UID, 15)), Output::Send(request(UID, 15))];
+    assert_eq!(outputs(&mut client, now), again);
 }
 
 fn binding_outputs<const N: usize>(client: &mut Binding<N>, now: Instant) -> Vec<Output<BindingEvent>> {

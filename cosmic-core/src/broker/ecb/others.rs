@@ -16,7 +16,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
                 self.subjects.mirror(supply.subject, etag);
             }
             if self.is_beside_the_old_broker() {
-                self.subjects.occupy_down_to(etag, now + self.timing.unnamed);
+                self.subjects.occupy_down_to(etag, self.presumed_until(now));
             }
             return;
         }
@@ -64,7 +64,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             self.nodes.mirror(uid, tx_node);
         }
         if self.is_beside_the_old_broker() {
-            self.nodes.occupy_down_to(tx_node, now + self.timing.unnamed);
+            self.nodes.occupy_down_to(tx_node, self.presumed_until(now));
         }
     }
 
@@ -86,7 +86,14 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         }
         self.foreign_at = self.foreign_at.or(Some(now + self.timing.silence));
         // The id that it hands out first.
-        self.nodes.occupy_down_to(TxNode::MAX, now + self.timing.unnamed);
+        self.nodes.occupy_down_to(TxNode::MAX, self.presumed_until(now));
+    }
+
+    /// How long names are kept back of which another broker's frame says that it has handed them out, though
+    /// nobody was seen to use them. An active broker gives them rather than refuse a node: the frame may be
+    /// anybody's, and one of them must not stop the service.
+    fn presumed_until(&self, now: Instant) -> Instant {
+        if self.role() == Role::Active { now } else { now + self.timing.unnamed }
     }
 
     /// Returns whether another broker answers of which no status was heard.
