@@ -145,8 +145,11 @@ const ETAGS: [(Subject, Etag); 5] = [
 ///
 /// The time-stamps are taken in interrupts, which wait for the calendar task, for a copy of an HRT message
 /// buffer, and for the log: at worst 10 µs together.
-pub const SYNC: SyncConfig =
-    SyncConfig { period: plan::SYNC_PERIOD, stamp_error: Duration::from_micros(10), ..SyncConfig::DEFAULT };
+pub const SYNC: SyncConfig = SyncConfig {
+    period: plan::SYNC_PERIOD,
+    stamp_error: SyncConfig::stamp_error_for(plan::SEGMENT.bit_rate, Duration::from_micros(10)),
+    ..SyncConfig::DEFAULT
+};
 
 /// From the instant at which one node relies on its clock until all do: the first frames of a master may
 /// have been missed.

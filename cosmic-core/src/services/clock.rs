@@ -26,7 +26,7 @@ pub struct ClockService {
 const DUPLICATES_TOLD_EVERY: Duration = Duration::from_millis(1_000);
 
 impl ClockService {
-    /// Takes part with this TxNode and calendar; `config` says the rest.
+    /// Takes part with this TxNode and calendar, which says how long a bit is; `config` says the rest.
     ///
     /// # Errors
     /// The first setting that is refused.
@@ -36,7 +36,8 @@ impl ClockService {
         tx_node: Option<TxNode>,
         now: Instant,
     ) -> Result<Self, SyncConfigError> {
-        let config = SyncConfig { calendar_digest: calendar.digest(), ..config };
+        let bit_time = calendar.segment().bit_rate.bit_time();
+        let config = SyncConfig { calendar_digest: calendar.digest(), bit_time, ..config };
         let mut sync = ClockSync::new(config, now)?;
         sync.set_tx_node(tx_node);
         Ok(Self {

@@ -1,5 +1,6 @@
 //! What a node must know to take part in clock synchronisation.
 
+use crate::can::BitRate;
 use crate::protocol::Rank;
 use crate::time::{Duration, Rate, RateChange};
 
@@ -14,12 +15,15 @@ pub struct SyncConfig {
     /// How far the difference of two time-stamps of one frame, the sender's and a receiver's, may be from
     /// the true difference of their clocks.
     ///
-    /// For stamps that are late by 0..=d on both sides, and quantised by q, this is d + q. The propagation
-    /// along the cable (5 ns/m) belongs to it, too.
+    /// For stamps that are late by 0..=d on both sides, and quantised by q, this is d + q, and what the frame
+    /// needs along the cable: [`SyncConfig::stamp_error_for`] adds them up.
+    pub stamp_error: Duration,
+    /// How long before the sender of a frame its receivers stamp it: one bit.
     ///
     /// A receiver accepts a frame in the last but one bit of its end (ISO 11898-1), one bit before the sender
-    /// is done. A driver that stamps then adds one bit time, or that bit time belongs to this bound.
-    pub stamp_error: Duration,
+    /// is done. The stamps of received frames are corrected by this here, and nowhere else. Zero where a
+    /// driver stamps the end itself. The services of a node take it from the calendar.
+    pub bit_time: Duration,
     /// How far any oscillator is from its nominal frequency.
     pub max_drift: Rate,
     /// How fast the frequencies of two oscillators may drift apart: twice that of one.
@@ -35,7 +39,7 @@ pub struct SyncConfig {
 pub enum SyncConfigError {
     /// The period is outside [`SyncConfig::SHORTEST_PERIOD`]..=[`SyncConfig::LONGEST_PERIOD`].
     Period,
-    /// The time-stamp error is over a hundredth of the period: choose a longer period.
+    /// The time-stamp error, or a bit, is over a hundredth of the period: choose a longer period.
     StampError,
     /// The drift is negative, or so large that rates leave the range of [`Rate`]. 100 parts in 10⁶ are
     /// accepted; with a smaller time-stamp error or rate change, more.
@@ -55,10 +59,21 @@ impl SyncConfig {
         rank: None,
         period: Duration::from_millis(100),
         stamp_error: Duration::from_ticks(1_250),
+        bit_time: Duration::from_ticks(0),
         max_drift: Rate::from_parts_per_billion(100_000),
         max_rate_change: RateChange::from_parts_per_billion(2_000),
         calendar_digest: 0,
     };
+
+    /// The bound on the error of time-stamps that are taken `latency` after the interrupt at the latest, the
+    /// resolution of the timer included.
+    ///
+    /// A frame reaches the receivers later than its sender, by its way along the cable, which the bit timing
+    /// must hold there and back in the part of a bit before the sample point: one way, three eighths of a
+    /// bit at most, with the time quantum by which a receiver meets its edges.
+    pub const fn stamp_error_for(bit_rate: BitRate, latency: Duration) -> Duration {
+        Duration::from_ticks(latency.as_ticks() + bit_rate.bits(3).as_ticks() / 8)
+    }
 
     /// Checks the settings; in a constant, at compile time.
     ///
@@ -69,7 +84,7 @@ impl SyncConfig {
         if period < Self::SHORTEST_PERIOD.as_ticks() || period > Self::LONGEST_PERIOD.as_ticks() {
             return Err(SyncConfigError::Period);
         }
-        if self.stamp_error.as_ticks() > period / 100 {
+        if self.stamp_error.as_ticks() > period / 100 || self.bit_time.as_ticks() > period / 100 {
             return Err(SyncConfigError::StampError);
         }
         let widest = 4 * self.max_drift.fraction() as i64 + self.takeover_rate_error() as i64;
@@ -166,6 +181,7 @@ mod tests {
             (SyncConfig { period: Duration::from_ticks(0), ..good }, SyncConfigError::Period),
             (SyncConfig { period: Duration::MAX, ..good }, SyncConfigError::Period),
             (SyncConfig { stamp_error: Duration::MAX, ..good }, SyncConfigError::StampError),
+            (SyncConfig { bit_time: Duration::MAX, ..good }, SyncConfigError::StampError),
             (SyncConfig { max_drift: Rate::LIMIT, ..good }, SyncConfigError::Drift),
             (SyncConfig { max_drift: Rate::from_fraction(-1), ..good }, SyncConfigError::Drift),
             (SyncConfig { max_rate_change: RateChange::LIMIT, ..good }, SyncConfigError::Drift),

@@ -1,8 +1,8 @@
 //! Clock synchronisation: one master, followers, and a succession of masters.
 //!
 //! The master sends a sync frame every period, time-stamps the end of its transmission, and tells the
-//! stamp in a follow-up (Gergeleit and Streich). All receivers time-stamp the same end of frame, so what
-//! remains of the delay is only what the two stamps are wrong. From these pairs a follower computes
+//! stamp in a follow-up (Gergeleit and Streich). All receivers time-stamp the same frame, one bit before its
+//! end, so what remains of the delay is only what the two stamps are wrong. From these pairs a follower computes
 //! where the master's clock can be at all; see `estimate.rs` for how. Nobody adjusts a timer: the result
 //! is a [`GlobalClock`], which converts.
 //!
@@ -203,12 +203,15 @@ impl ClockSync {
         self.events.pop()
     }
 
-    /// Takes a received frame, with the local time of its end. Frames with other etags are ignored.
+    /// Takes a received frame, with the local time at which it was received: [`SyncConfig::bit_time`] before
+    /// its end. Frames with other etags are ignored.
     pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         let from = frame.id.tx_node();
         if frame.id.etag() != Etag::SYNC && frame.id.etag() != Etag::FOLLOW_UP {
             return;
         }
+        // The instant at which its sender was done.
+        let received_at = received_at + self.config.bit_time;
         if let Some(message) = SyncMessage::decode(frame) {
             self.on_sync(Pending { from, message, received_at });
         } else if let Some(message) = FollowUp::decode(frame) {

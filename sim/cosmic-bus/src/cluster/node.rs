@@ -239,8 +239,6 @@ impl<S: Services> Node<S> {
         match *kind {
             EventKind::Received(frame) => {
                 let Ok(frame) = Frame::try_from(frame) else { return };
-                // Receivers accept one bit before the sender is done; time-stamps are of the end.
-                let stamp = stamp + bus.bit_rate().bit_time();
                 let Some(input) = receive(&frame, stamp, running.half.hard_mut()) else { return };
                 running.half.on_input(&input, stamp);
                 if !frame.id.etag().is_reserved() {
