@@ -3,6 +3,7 @@
 //! COSMIC uses extended (29-bit) data frames of CAN 2.0B only; frames of other kinds on the same bus
 //! are filtered out by the driver.
 
+mod controller;
 #[cfg(feature = "embedded-can")]
 pub mod embedded;
 pub mod filter_banks;
@@ -11,6 +12,7 @@ mod id;
 mod mailbox;
 mod timing;
 
+pub use controller::{Controller, Status};
 pub use frame::{Frame, Payload};
 pub use id::{Etag, Id, Priority, TxNode};
 pub use mailbox::{Command, ErrorCounters, Mailbox, Outcome};
