@@ -18,31 +18,18 @@ use core::marker::PhantomData;
 
 use cosmic_core::can::{Frame, Mailbox, Outcome};
 
-/// The mailboxes as one, before they are handed out.
-pub struct TxMailboxes {
+use crate::registers::Registers;
+
+/// One part for each class, and one that reports what became of the frames.
+pub(crate) const fn split(
     registers: Registers,
-}
-
-impl TxMailboxes {
-    /// Takes over the transmit part of a bxCAN peripheral.
-    ///
-    /// # Safety
-    /// `base` is the address of the peripheral's registers, which stay valid for the rest of the
-    /// program, and nothing else writes its transmit mailboxes or `CAN_TSR`.
-    pub const unsafe fn new(base: *mut u32) -> Self {
-        Self { registers: Registers { base } }
-    }
-
-    /// One part for each class, and one that reports what became of the frames.
-    pub const fn split(self) -> (HardMailbox, SoftMailbox, NonRealTimeMailbox, TxOutcomes) {
-        let registers = self.registers;
-        (
-            TxMailbox { registers, _class: PhantomData },
-            TxMailbox { registers, _class: PhantomData },
-            TxMailbox { registers, _class: PhantomData },
-            TxOutcomes { registers },
-        )
-    }
+) -> (HardMailbox, SoftMailbox, NonRealTimeMailbox, TxOutcomes) {
+    (
+        TxMailbox { registers, _class: PhantomData },
+        TxMailbox { registers, _class: PhantomData },
+        TxMailbox { registers, _class: PhantomData },
+        TxOutcomes { registers },
+    )
 }
 
 /// A class, and with it the number of its mailbox.
@@ -140,31 +127,6 @@ fn words(bytes: [u8; 8]) -> [u32; 2] {
     [all as u32, (all >> 32) as u32]
 }
 
-/// The registers, from the base address of the peripheral on.
-#[derive(Clone, Copy)]
-struct Registers {
-    base: *mut u32,
-}
-
-// SAFETY: the pointer stands for a peripheral, which any context may access; which registers each owner
-// accesses is laid down in the module documentation.
-unsafe impl Send for Registers {}
-
-impl Registers {
-    #[inline]
-    fn read(self, offset: usize) -> u32 {
-        // SAFETY: `base` is valid by the contract of `TxMailboxes::new`, and all offsets are registers
-        // of the peripheral.
-        unsafe { self.base.byte_add(offset).read_volatile() }
-    }
-
-    #[inline]
-    fn write(self, offset: usize, value: u32) {
-        // SAFETY: as for `read`; a write acts only on the bits that its owner has for itself.
-        unsafe { self.base.byte_add(offset).write_volatile(value) }
-    }
-}
-
 // RM0090, bxCAN register map.
 const TSR: usize = 0x08;
 const TX_MAILBOX_0: usize = 0x180;
@@ -184,20 +146,12 @@ const TSR_ABRQ: u32 = 1 << 7;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::registers::Memory;
     use cosmic_core::can::{Id, Payload};
+    use std::vec::Vec;
 
-    /// Memory in place of the peripheral. It keeps what is written last.
-    struct Memory([u32; 0x1B0 / 4]);
-
-    impl Memory {
-        fn mailboxes(&mut self) -> (HardMailbox, SoftMailbox, NonRealTimeMailbox, TxOutcomes) {
-            // SAFETY: the array covers all registers that are used, and outlives the parts.
-            unsafe { TxMailboxes::new(self.0.as_mut_ptr()) }.split()
-        }
-
-        fn at(&self, offset: usize) -> u32 {
-            self.0[offset / 4]
-        }
+    fn mailboxes(memory: &mut Memory) -> (HardMailbox, SoftMailbox, NonRealTimeMailbox, TxOutcomes) {
+        split(memory.registers())
     }
 
     fn frame() -> Frame {
@@ -206,21 +160,21 @@ mod tests {
 
     #[test]
     fn a_frame_goes_into_the_mailbox_of_its_class() {
-        let mut memory = Memory([0; _]);
-        let (_, mut soft, _, _) = memory.mailboxes();
+        let mut memory = Memory::new();
+        let (_, mut soft, _, _) = mailboxes(&mut memory);
         soft.load(&frame());
         assert_eq!(memory.at(0x190), 0x1234_5678 << 3 | 0b101);
         assert_eq!(memory.at(0x194), 5);
         assert_eq!(memory.at(0x198), 0x0403_0201);
         assert_eq!(memory.at(0x19C), 0x0000_0005);
-        let elsewhere = memory.0.iter().enumerate().filter(|(word, _)| !(0x64..0x68).contains(word));
-        assert!(elsewhere.into_iter().all(|(_, &value)| value == 0), "a register of others was written");
+        let written: Vec<_> = memory.written().collect();
+        assert_eq!(written, [0x190, 0x194, 0x198, 0x19C], "a register of others was written");
     }
 
     #[test]
     fn a_withdrawal_writes_one_bit() {
-        let mut memory = Memory([0; _]);
-        let (mut hard, mut soft, mut non_real_time, _) = memory.mailboxes();
+        let mut memory = Memory::new();
+        let (mut hard, mut soft, mut non_real_time, _) = mailboxes(&mut memory);
         hard.withdraw();
         assert_eq!(memory.at(TSR), 0x80);
         soft.withdraw();
@@ -242,9 +196,9 @@ mod tests {
 
     #[test]
     fn taking_an_outcome_acknowledges_that_one_only() {
-        let mut memory = Memory([0; _]);
-        memory.0[TSR / 4] = 0x03_0100;
-        let (_, _, _, mut outcomes) = memory.mailboxes();
+        let mut memory = Memory::new();
+        memory.set(TSR, 0x03_0100);
+        let (_, _, _, mut outcomes) = mailboxes(&mut memory);
         assert_eq!(outcomes.take(), Some((Mailbox::Soft, Outcome::Withdrawn)));
         assert_eq!(memory.at(TSR), 0x0100);
     }

@@ -4,25 +4,29 @@
 //! [`Outcome`](cosmic_core::can::Outcome)s and frames come out, and time is a parameter. This crate is
 //! the other end: it turns them into register accesses of one microcontroller.
 //!
+//! * [`bxcan`]: brings the controller up, with its acceptance filters, and takes it apart.
 //! * [`bxcan_tx`]: the three transmit mailboxes, each a type of its own, so that the time-triggered half
 //!   of the middleware needs no lock to use its mailbox.
-//! * [`bxcan_rx`]: the two receive FIFOs, the acceptance filters and the error state.
+//! * [`bxcan_rx`]: the two receive FIFOs.
+//! * [`bxcan_status`]: the error counters, and the interrupt that tells when they have become bad.
 //! * [`bit_timing`]: the bit timing register for a bit rate.
 //! * [`clock`]: the monotonic timer, and its conversion to the middleware's local time.
 //! * [`stm32f4`]: brings a board up and hands out the parts.
 //!
-//! [`bit_timing`] and the register logic of [`bxcan_tx`] also build on the host, where they are tested.
+//! All but [`clock`] and [`stm32f4`] also builds on the host, where memory stands in for the registers.
 #![no_std]
 
 #[cfg(test)]
 extern crate std;
 
 pub mod bit_timing;
-#[cfg(target_arch = "arm")]
+pub mod bxcan;
 pub mod bxcan_rx;
+pub mod bxcan_status;
 pub mod bxcan_tx;
 #[cfg(target_arch = "arm")]
 pub mod clock;
+mod registers;
 #[cfg(target_arch = "arm")]
 pub mod stm32f4;
 

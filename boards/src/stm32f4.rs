@@ -8,19 +8,19 @@
 //! | PB8, PB9 | CAN1 RX, TX |
 //! | PB12..PB15 | [`MeasuringPoints`] |
 
-use bxcan::Interrupts;
 use cosmic_core::can::BitRate;
 use cosmic_core::can::filter_banks::FilterBank;
 use rtic_monotonics::stm32::Priority;
-use stm32f4xx_hal::can::CanExt as _;
 use stm32f4xx_hal::gpio::{GpioExt as _, Output, Pin};
 use stm32f4xx_hal::pac;
-use stm32f4xx_hal::rcc::{Config, RccExt as _};
+use stm32f4xx_hal::rcc::{Config, Enable as _, RccExt as _, Reset as _};
 use stm32f4xx_hal::time::Hertz;
 
 use crate::bit_timing::BitTiming;
-use crate::bxcan_rx::{BusStatus, OtherFrames, RxFrames, UrgentFrames, apply_filters};
-use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxMailboxes, TxOutcomes};
+use crate::bxcan::{Controller, Parts};
+use crate::bxcan_rx::{OtherFrames, UrgentFrames};
+use crate::bxcan_status::{BusStatus, StatusChanges};
+use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::clock::Mono;
 
 /// The parts of a board, each for one owner.
@@ -37,6 +37,8 @@ pub struct Board {
     pub urgent: UrgentFrames,
     /// For the interrupt `CAN1_RX1`.
     pub other: OtherFrames,
+    /// For the interrupt `CAN1_SCE`.
+    pub changes: StatusChanges,
     /// The error state of the controller.
     pub bus: BusStatus,
     /// Pins for an oscilloscope.
@@ -48,7 +50,7 @@ pub struct Board {
 pub struct Settings<F> {
     /// The bit rate of the bus; one that 42 MHz can give exactly.
     pub bit_rate: BitRate,
-    /// Which frames to receive, and where; at most [`BANKS`](crate::bxcan_rx::BANKS).
+    /// Which frames to receive, and where; at most [`BANKS`](crate::bxcan::BANKS).
     pub filters: F,
 }
 
@@ -94,37 +96,16 @@ impl Board {
             exception: MeasuringPoint { pin: port.pb15.into_push_pull_output() },
         };
 
-        let can = device.CAN1.can((port.pb9, port.pb8), &mut rcc);
-        // Frames are sent in the order of their identifiers (TXFP = 0, the reset value), and again until
-        // they succeed. The driver turns on automatic recovery from bus-off.
-        let mut can = bxcan::Can::builder(can)
-            .set_bit_timing(timing.register())
-            .set_automatic_retransmit(true)
-            .leave_disabled();
-        apply_filters(&mut can, settings.filters).map_err(|_| BoardError::Filters)?;
-        can.enable_interrupts(
-            Interrupts::TRANSMIT_MAILBOX_EMPTY
-                | Interrupts::FIFO0_MESSAGE_PENDING
-                | Interrupts::FIFO1_MESSAGE_PENDING,
-        );
-        // Ends: the controller wakes up, and the bus is recessive after every frame.
-        while can.enable_non_blocking().is_err() {}
-        let (_, urgent, other) = can.split();
-
-        // SAFETY: the registers of CAN1 are there for good. `can` was taken apart and its transmit part
-        // dropped, so nothing else writes the mailboxes or CAN_TSR.
-        let mailboxes = unsafe { TxMailboxes::new(pac::CAN1::ptr().cast_mut().cast()) };
-        let (hard, soft, non_real_time, outcomes) = mailboxes.split();
-        Ok(Self {
-            hard,
-            soft,
-            non_real_time,
-            outcomes,
-            urgent: RxFrames::new(urgent),
-            other: RxFrames::new(other),
-            bus: BusStatus::new(),
-            points,
-        })
+        // The pins keep their function when their types are dropped.
+        let _ = (port.pb8.into_alternate::<9>(), port.pb9.into_alternate::<9>());
+        pac::CAN1::enable(&mut rcc);
+        pac::CAN1::reset(&mut rcc);
+        // SAFETY: the registers of CAN1 are there for good, and `device.CAN1` was given up for them.
+        let mut can = unsafe { Controller::new(pac::CAN1::ptr().cast_mut().cast()) };
+        can.set_up(timing, settings.filters).map_err(|_| BoardError::Filters)?;
+        can.join();
+        let Parts { hard, soft, non_real_time, outcomes, urgent, other, changes, bus } = can.split();
+        Ok(Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, points })
     }
 }
 

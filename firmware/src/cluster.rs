@@ -7,7 +7,7 @@
 //! | brake | brake force | wheel speed, temperature, suspension |
 //! | diagnostics | suspension, logbook | wheel speed, brake force |
 
-use boards::bxcan_rx::BANKS;
+use boards::bxcan::BANKS;
 use cosmic_core::Subject;
 use cosmic_core::calendar::Slot;
 use cosmic_core::can::Etag;

@@ -1,7 +1,7 @@
 //! The event-triggered half of a node together with its two mailboxes, and access to what the halves
 //! share.
 
-use boards::bxcan_rx::{BusStatus, ErrorState};
+use boards::bxcan_status::{BusStatus, ErrorState};
 use boards::bxcan_tx::{NonRealTimeMailbox, SoftMailbox};
 use boards::clock;
 use cosmic_core::calendar::Slot;

@@ -1,0 +1,224 @@
+//! The bxCAN controller: brings it up, and takes it apart for its owners.
+//!
+//! Modes, bit timing, acceptance filters and interrupts are set here (RM0090, bxCAN operating modes and
+//! identifier filtering). What the controller does from then on belongs to the [`Parts`].
+
+use cosmic_core::can::filter_banks::{Fifo, FilterBank};
+
+use crate::bit_timing::BitTiming;
+use crate::bxcan_rx::{OtherFrames, RxFrames, UrgentFrames};
+use crate::bxcan_status::{self, BusStatus, StatusChanges};
+use crate::bxcan_tx::{self, HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
+use crate::registers::Registers;
+
+/// Filter banks: of the 28 that both controllers share, those before the reset value of `CAN2SB`.
+pub const BANKS: usize = 14;
+
+/// More filters than the peripheral has banks.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct TooManyFilters;
+
+/// A controller as it comes out of reset: [`set_up`](Self::set_up), [`join`](Self::join), then
+/// [`split`](Self::split).
+pub struct Controller {
+    registers: Registers,
+}
+
+/// The parts of a controller, each for one owner.
+pub struct Parts {
+    /// Transmit mailbox of hard real-time.
+    pub hard: HardMailbox,
+    /// Transmit mailbox of soft real-time.
+    pub soft: SoftMailbox,
+    /// Transmit mailbox of non real-time.
+    pub non_real_time: NonRealTimeMailbox,
+    /// For the transmit interrupt.
+    pub outcomes: TxOutcomes,
+    /// For the interrupt of FIFO 0.
+    pub urgent: UrgentFrames,
+    /// For the interrupt of FIFO 1.
+    pub other: OtherFrames,
+    /// For the status change interrupt.
+    pub changes: StatusChanges,
+    /// The error counters.
+    pub bus: BusStatus,
+}
+
+impl Controller {
+    /// Takes over a bxCAN peripheral.
+    ///
+    /// # Safety
+    /// `base` is the address of the peripheral's registers, which stay valid for the rest of the program,
+    /// and nothing else writes them.
+    pub const unsafe fn new(base: *mut u32) -> Self {
+        // SAFETY: what the caller promises.
+        Self { registers: unsafe { Registers::new(base) } }
+    }
+
+    /// Puts the controller into initialisation mode, and sets it up. It takes no part in the traffic yet.
+    ///
+    /// # Errors
+    /// If there are more than [`BANKS`] filters; those that have a bank are written then.
+    pub fn set_up<'a>(
+        &mut self,
+        timing: BitTiming,
+        filters: impl Iterator<Item = &'a FilterBank>,
+    ) -> Result<(), TooManyFilters> {
+        let registers = self.registers;
+        registers.write(MCR, registers.read(MCR) & MCR_DBF | MCR_INRQ);
+        // Ends: the controller is clocked, and after reset no frame is under way.
+        while registers.read(MSR) & MSR_INAK == 0 {}
+        configure(registers, timing);
+        apply_filters(registers, filters)
+    }
+
+    /// Takes part in the traffic, once the bus has been recessive for 11 bits; waits for that.
+    pub fn join(&mut self) {
+        let registers = self.registers;
+        registers.write(MCR, registers.read(MCR) & !(MCR_INRQ | MCR_SLEEP));
+        // Ends: the bus is recessive after every frame.
+        while registers.read(MSR) & (MSR_INAK | MSR_SLAK) != 0 {}
+    }
+
+    /// Takes the controller apart.
+    pub const fn split(self) -> Parts {
+        let registers = self.registers;
+        let (hard, soft, non_real_time, outcomes) = bxcan_tx::split(registers);
+        Parts {
+            hard,
+            soft,
+            non_real_time,
+            outcomes,
+            urgent: RxFrames::new(registers),
+            other: RxFrames::new(registers),
+            changes: StatusChanges::new(registers),
+            bus: BusStatus::new(registers),
+        }
+    }
+}
+
+/// Needs initialisation mode.
+fn configure(registers: Registers, timing: BitTiming) {
+    registers.write(BTR, timing.register());
+    // Frames are sent in the order of their identifiers (TXFP = 0), and again until they succeed (NART = 0).
+    // A full FIFO keeps the newest frame (RFLM = 0). Recovery from bus-off is automatic.
+    registers.write(MCR, registers.read(MCR) & (MCR_DBF | MCR_INRQ) | MCR_ABOM);
+    registers.write(IER, IER_TMEIE | IER_FMPIE0 | IER_FMPIE1 | bxcan_status::INTERRUPTS);
+}
+
+/// Writes the filters to banks 0, 1, ... and switches the others of this controller off. Nothing is received
+/// for that time.
+fn apply_filters<'a>(
+    registers: Registers,
+    filters: impl Iterator<Item = &'a FilterBank>,
+) -> Result<(), TooManyFilters> {
+    registers.write(FMR, registers.read(FMR) | FMR_FINIT);
+    let (mut used, mut lists, mut to_other) = (0, 0, 0);
+    let mut result = Ok(());
+    for (bank, filter) in filters.enumerate() {
+        if bank >= BANKS {
+            result = Err(TooManyFilters);
+            break;
+        }
+        let bit = 1 << bank;
+        used |= bit;
+        if filter.fifo() == Fifo::Other {
+            to_other |= bit;
+        }
+        if matches!(filter, FilterBank::List { .. }) {
+            lists |= bit;
+        }
+        let [first, second] = filter.registers();
+        registers.write(BANK_0 + BANK_STRIDE * bank, first);
+        registers.write(BANK_0 + BANK_STRIDE * bank + 4, second);
+    }
+    // The bits of the other controller's banks stay.
+    let set = |register, bits| registers.write(register, registers.read(register) & !OWN_BANKS | bits);
+    set(FM1R, lists);
+    set(FS1R, used);
+    set(FFA1R, to_other);
+    set(FA1R, used);
+    registers.write(FMR, registers.read(FMR) & !FMR_FINIT);
+    result
+}
+
+const OWN_BANKS: u32 = (1 << BANKS) - 1;
+
+// RM0090, bxCAN register map.
+const MCR: usize = 0x00;
+const MSR: usize = 0x04;
+const IER: usize = 0x14;
+const BTR: usize = 0x1C;
+const FMR: usize = 0x200;
+const FM1R: usize = 0x204;
+const FS1R: usize = 0x20C;
+const FFA1R: usize = 0x214;
+const FA1R: usize = 0x21C;
+const BANK_0: usize = 0x240;
+const BANK_STRIDE: usize = 8;
+
+const MCR_INRQ: u32 = 1 << 0;
+const MCR_SLEEP: u32 = 1 << 1;
+const MCR_ABOM: u32 = 1 << 6;
+const MCR_DBF: u32 = 1 << 16;
+const MSR_INAK: u32 = 1 << 0;
+const MSR_SLAK: u32 = 1 << 1;
+const IER_TMEIE: u32 = 1 << 0;
+const IER_FMPIE0: u32 = 1 << 1;
+const IER_FMPIE1: u32 = 1 << 4;
+const FMR_FINIT: u32 = 1 << 0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::registers::Memory;
+    use cosmic_core::can::{BitRate, Id};
+
+    #[test]
+    fn modes_and_interrupts() {
+        let mut memory = Memory::new();
+        // The reset value with INRQ in place of SLEEP; TXFP, NART and RFLM as somebody may have left them.
+        memory.set(MCR, 0x0001_001D);
+        let timing = BitTiming::new(42_000_000, BitRate::MAX).unwrap();
+        memory.set(MSR, MSR_INAK);
+        let mut controller = Controller { registers: memory.registers() };
+        assert_eq!(controller.set_up(timing, [].iter()), Ok(()));
+        assert_eq!(memory.at(MCR), 0x0001_0041);
+        assert_eq!(memory.at(BTR), timing.register());
+        assert_eq!(memory.at(IER), 0x8713);
+        memory.set(MSR, 0xC00);
+        controller.join();
+        assert_eq!(memory.at(MCR), 0x0001_0040);
+    }
+
+    fn mask(fifo: Fifo) -> FilterBank {
+        FilterBank::Mask { id: 0x0020_0012, mask: 0x1FE0_3FFF, fifo }
+    }
+
+    #[test]
+    fn filters_are_extended_data_frames_only() {
+        let mut memory = Memory::new();
+        memory.set(FMR, 0x2A1C_0E01);
+        // The other controller's, and an old one of ours.
+        for register in [FM1R, FS1R, FFA1R, FA1R] {
+            memory.set(register, 0x0F00_0020);
+        }
+        let ids = [0x1234, 0x1FFF_FFFF].map(|raw| Id::from_raw(raw).unwrap());
+        let filters = [mask(Fifo::Other), FilterBank::List { ids, fifo: Fifo::Urgent }];
+        assert_eq!(apply_filters(memory.registers(), filters.iter()), Ok(()));
+        assert_eq!(memory.at(FMR), 0x2A1C_0E00);
+        assert_eq!([FM1R, FS1R].map(|at| memory.at(at)), [0x0F00_0002, 0x0F00_0003]);
+        assert_eq!([FFA1R, FA1R].map(|at| memory.at(at)), [0x0F00_0001, 0x0F00_0003]);
+        let banks = [0x240, 0x244, 0x248, 0x24C].map(|at| memory.at(at));
+        assert_eq!(banks, [0x0100_0094, 0xFF01_FFFE, 0x91A4, 0xFFFF_FFFC]);
+    }
+
+    #[test]
+    fn more_filters_than_banks_are_refused() {
+        let mut memory = Memory::new();
+        let filters = [const { FilterBank::Mask { id: 0, mask: 0, fifo: Fifo::Urgent } }; BANKS + 1];
+        assert_eq!(apply_filters(memory.registers(), filters[..BANKS].iter()), Ok(()));
+        assert_eq!(apply_filters(memory.registers(), filters.iter()), Err(TooManyFilters));
+        assert_eq!((memory.at(FA1R), memory.at(0x240 + 8 * BANKS)), (0x3FFF, 0));
+    }
+}

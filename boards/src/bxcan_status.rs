@@ -1,0 +1,193 @@
+//! The error state of bxCAN, and its status change interrupt.
+//!
+//! The interrupt `CAN1_SCE` comes when the controller reaches the warning limit (96 errors), becomes error
+//! passive (128) or goes off the bus (256): not for each error, so that a disturbed bus costs no time, and
+//! not when the counters fall. It may come 20 failed transmissions before bus-off is reached, and each
+//! bus-off is told apart from the next by it.
+//!
+//! Recovery from bus-off is automatic (`CAN_MCR`, ABOM): after 128 times 11 recessive bits, 1408 bit times,
+//! the controller takes part again, with its counters at zero and its pending frames still in the mailboxes.
+//! So the interrupt must be served within 1408 bit times, or the bus-off has passed unseen.
+
+use crate::registers::Registers;
+
+/// How the controller stands towards the bus (ISO 11898-1, fault confinement).
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum ErrorState {
+    /// Takes part in everything.
+    Active,
+    /// Takes part in everything, but a counter has reached 96: the bus or this node is disturbed.
+    Warning,
+    /// Over 127 errors: signals errors passively.
+    Passive,
+    /// Over 255 transmit errors: off the bus, until 128 times 11 recessive bits were seen.
+    BusOff,
+}
+
+/// The error counters of the controller.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct ErrorCounters {
+    /// Transmit error counter.
+    pub transmit: u8,
+    /// Receive error counter.
+    pub receive: u8,
+    /// What follows from them.
+    pub state: ErrorState,
+}
+
+impl ErrorCounters {
+    /// What `CAN_ESR` says.
+    const fn of(status: u32) -> Self {
+        let state = if status & ESR_BOFF != 0 {
+            ErrorState::BusOff
+        } else if status & ESR_EPVF != 0 {
+            ErrorState::Passive
+        } else if status & ESR_EWGF != 0 {
+            ErrorState::Warning
+        } else {
+            ErrorState::Active
+        };
+        Self { transmit: (status >> ESR_TEC_SHIFT) as u8, receive: (status >> ESR_REC_SHIFT) as u8, state }
+    }
+}
+
+/// Reads the error counters, at any time.
+pub struct BusStatus {
+    registers: Registers,
+}
+
+impl BusStatus {
+    pub(crate) const fn new(registers: Registers) -> Self {
+        Self { registers }
+    }
+
+    /// The error counters as they are now.
+    #[inline]
+    pub fn errors(&self) -> ErrorCounters {
+        // Reading changes nothing.
+        ErrorCounters::of(self.registers.read(ESR))
+    }
+}
+
+/// The error state has become worse.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct StatusChange {
+    /// The error counters as they are now. If they have fallen since, the state may be better again.
+    pub errors: ErrorCounters,
+    /// Whether the controller went off the bus since the last change.
+    pub went_off: bool,
+}
+
+/// For the interrupt `CAN1_SCE`: alone acknowledges it.
+pub struct StatusChanges {
+    registers: Registers,
+    is_off: bool,
+}
+
+impl StatusChanges {
+    pub(crate) const fn new(registers: Registers) -> Self {
+        Self { registers, is_off: false }
+    }
+
+    /// What changed, which is thereby acknowledged; `None` if nothing did. Call it once for each interrupt.
+    ///
+    /// Bounded: reads the state once more for each limit that is reached meanwhile, and there are three.
+    pub fn take(&mut self) -> Option<StatusChange> {
+        let mut errors = None;
+        // The flag is cleared first: what comes behind the last reading raises it again.
+        for _ in 0..=LIMITS {
+            if self.registers.read(MSR) & MSR_ERRI == 0 {
+                break;
+            }
+            self.registers.write(MSR, MSR_ERRI);
+            errors = Some(ErrorCounters::of(self.registers.read(ESR)));
+        }
+        let errors = errors?;
+        // Between two times off the bus the counters pass the warning limit, which is a change of its own.
+        let was_off = core::mem::replace(&mut self.is_off, matches!(errors.state, ErrorState::BusOff));
+        Some(StatusChange { errors, went_off: self.is_off && !was_off })
+    }
+}
+
+/// Warning, passive, off.
+const LIMITS: usize = 3;
+
+/// The causes of the interrupt in `CAN_IER`: EWGIE, EPVIE, BOFIE, and ERRIE for all of them. LECIE, which
+/// would raise it for each error on the bus, is not among them.
+pub(crate) const INTERRUPTS: u32 = 1 << 8 | 1 << 9 | 1 << 10 | 1 << 15;
+
+// RM0090, bxCAN register map.
+const MSR: usize = 0x04;
+const ESR: usize = 0x18;
+
+const MSR_ERRI: u32 = 1 << 2;
+const ESR_EWGF: u32 = 1 << 0;
+const ESR_EPVF: u32 = 1 << 1;
+const ESR_BOFF: u32 = 1 << 2;
+const ESR_TEC_SHIFT: u32 = 16;
+const ESR_REC_SHIFT: u32 = 24;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::registers::Memory;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_state_follows_the_flags() {
+        let mut memory = Memory::new();
+        let states = [
+            (0, ErrorState::Active),
+            (0b001, ErrorState::Warning),
+            (0b011, ErrorState::Passive),
+            (0b111, ErrorState::BusOff),
+        ];
+        for (flags, state) in states {
+            memory.set(ESR, 0x1234_0050 | flags);
+            let errors = BusStatus::new(memory.registers()).errors();
+            assert_eq!(errors, ErrorCounters { transmit: 0x34, receive: 0x12, state });
+        }
+    }
+
+    /// The interrupt, with these flags in `CAN_ESR`.
+    fn interrupt(memory: &mut Memory, changes: &mut StatusChanges, flags: u32) -> Option<(ErrorState, bool)> {
+        memory.set(ESR, flags);
+        memory.set(MSR, MSR_ERRI);
+        changes.take().map(|change| (change.errors.state, change.went_off))
+    }
+
+    #[test]
+    fn each_bus_off_is_told_once() {
+        let mut memory = Memory::new();
+        let mut changes = StatusChanges::new(memory.registers());
+        assert_eq!(changes.take(), None);
+        for _ in 0..2 {
+            assert_eq!(interrupt(&mut memory, &mut changes, 1), Some((ErrorState::Warning, false)));
+            assert_eq!(interrupt(&mut memory, &mut changes, 3), Some((ErrorState::Passive, false)));
+            assert_eq!(interrupt(&mut memory, &mut changes, 7), Some((ErrorState::BusOff, true)));
+            // Raised again between the acknowledgement and the reading.
+            assert_eq!(interrupt(&mut memory, &mut changes, 7), Some((ErrorState::BusOff, false)));
+        }
+    }
+
+    #[test]
+    fn only_its_own_flag_is_acknowledged() {
+        let mut memory = Memory::new();
+        // Also pending: SLAKI and WKUI, which a 1 would clear, and the state bits.
+        memory.set(MSR, 0xC1F);
+        assert!(StatusChanges::new(memory.registers()).take().is_some());
+        assert_eq!(memory.at(MSR), MSR_ERRI);
+    }
+
+    proptest! {
+        #[test]
+        fn any_register_values_are_a_state(msr: u32, esr: u32) {
+            let mut memory = Memory::new();
+            memory.set(MSR, msr);
+            memory.set(ESR, esr);
+            let change = StatusChanges::new(memory.registers()).take();
+            prop_assert_eq!(change.is_some(), msr & MSR_ERRI != 0);
+            prop_assert!(change.is_none_or(|change| change.went_off == (esr & ESR_BOFF != 0)));
+        }
+    }
+}
