@@ -102,7 +102,7 @@ impl Unstuffed {
 /// The bits from start of frame to data length code, right-aligned, and their number.
 fn head(frame: &WireFrame) -> (u64, u32) {
     let arbitration = u64::from(frame.arbitration().raw());
-    let length_code = frame.dlc() as u64;
+    let length_code = u64::from(frame.length_code());
     if frame.is_extended() {
         // SOF, 32 bits of arbitration, r1, r0, data length code.
         (arbitration << 6 | length_code, 39)

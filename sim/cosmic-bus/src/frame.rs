@@ -92,8 +92,8 @@ impl fmt::Debug for Arbitration {
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct WireFrame {
     arbitration: Arbitration,
-    /// 0..=8. Of a remote frame: the length asked for.
-    data_length_code: u8,
+    /// 0..=15, and above 8 the data are eight bytes. Of a remote frame: the length asked for.
+    length_code: u8,
     /// Zero behind the data, and in remote frames.
     data: [u8; Payload::MAX_LEN],
 }
@@ -114,7 +114,22 @@ impl WireFrame {
     /// How many bytes of data are on the wire: 0..=8, none in a remote frame.
     #[inline]
     pub const fn data_len(&self) -> usize {
-        if self.arbitration.is_remote() { 0 } else { self.data_length_code as usize }
+        if self.arbitration.is_remote() { 0 } else { bytes(self.length_code) }
+    }
+
+    /// The data length code as it is on the wire, 0..=15: [`dlc`](embedded_can::Frame::dlc) takes 9 to 15
+    /// as 8.
+    #[inline]
+    pub const fn length_code(&self) -> u8 {
+        self.length_code
+    }
+
+    /// The same frame with another data length code on the wire. Codes of 9 to 15 are legal and stand for
+    /// eight bytes (ISO 11898-1, data length code). `None` if the code is above 15, or means another length
+    /// than that of the data; a remote frame has no data, so it may have any.
+    pub const fn with_length_code(self, code: u8) -> Option<Self> {
+        let fits = code <= LARGEST_CODE && (self.arbitration.is_remote() || bytes(code) == self.data_len());
+        if fits { Some(Self { length_code: code, ..self }) } else { None }
     }
 }
 
@@ -123,7 +138,7 @@ impl embedded_can::Frame for WireFrame {
         let payload = Payload::new(data)?;
         Some(Self {
             arbitration: Arbitration::new(id.into(), false),
-            data_length_code: payload.len() as u8,
+            length_code: payload.len() as u8,
             data: payload.padded(),
         })
     }
@@ -134,7 +149,7 @@ impl embedded_can::Frame for WireFrame {
         }
         Some(Self {
             arbitration: Arbitration::new(id.into(), true),
-            data_length_code: dlc as u8,
+            length_code: dlc as u8,
             data: [0; Payload::MAX_LEN],
         })
     }
@@ -152,7 +167,7 @@ impl embedded_can::Frame for WireFrame {
     }
 
     fn dlc(&self) -> usize {
-        usize::from(self.data_length_code)
+        bytes(self.length_code)
     }
 
     fn data(&self) -> &[u8] {
@@ -164,10 +179,13 @@ impl fmt::Debug for WireFrame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         use embedded_can::Frame as _;
         if self.is_remote_frame() {
-            write!(f, "{:?} [{}]", self.arbitration, self.data_length_code)
-        } else {
-            write!(f, "{:?} {:02X?}", self.arbitration, self.data())
+            return write!(f, "{:?} [{}]", self.arbitration, self.length_code);
         }
+        write!(f, "{:?} {:02X?}", self.arbitration, self.data())?;
+        if usize::from(self.length_code) > Payload::MAX_LEN {
+            write!(f, " [{}]", self.length_code)?;
+        }
+        Ok(())
     }
 }
 
@@ -177,7 +195,7 @@ impl From<Frame> for WireFrame {
         let id = ExtendedId::new(frame.id.raw()).unwrap_or(ExtendedId::MAX);
         Self {
             arbitration: Arbitration::new(Id::Extended(id), false),
-            data_length_code: frame.payload.len() as u8,
+            length_code: frame.payload.len() as u8,
             data: frame.payload.padded(),
         }
     }
@@ -195,6 +213,14 @@ impl TryFrom<WireFrame> for Frame {
         Ok(Self::new(id, Payload::truncated(frame.data, frame.data_len())))
     }
 }
+
+/// The bytes that a data length code stands for.
+const fn bytes(code: u8) -> usize {
+    if code as usize > Payload::MAX_LEN { Payload::MAX_LEN } else { code as usize }
+}
+
+/// The code has four bits.
+const LARGEST_CODE: u8 = 15;
 
 #[cfg(test)]
 mod tests {
@@ -244,5 +270,26 @@ mod tests {
         assert_eq!(remote.data(), []);
         assert_eq!(WireFrame::new_remote(ExtendedId::ZERO, 9), None);
         assert_eq!(WireFrame::new(ExtendedId::ZERO, &[0; 9]), None);
+    }
+
+    #[test]
+    fn length_codes_above_eight_are_eight_bytes() {
+        let id = cosmic_core::can::Id::new(Priority::CONFIGURATION, TxNode::BROKER, Etag::SUPPLY_ETAG);
+        let data = [1, 2, 3, 4, 5, 6, 7, 8];
+        let frame = Frame::new(id, Payload::full(data));
+        let eight = WireFrame::from(frame);
+        for code in 9..=15 {
+            let odd = eight.with_length_code(code).unwrap();
+            assert_ne!(odd, eight);
+            assert_eq!((odd.length_code(), odd.dlc(), odd.data()), (code, 8, &data[..]));
+            assert_eq!(Frame::try_from(odd), Ok(frame));
+            let remote = WireFrame::new_remote(ExtendedId::ZERO, 0).unwrap().with_length_code(code).unwrap();
+            assert_eq!((remote.length_code(), remote.data_len()), (code, 0));
+            assert_eq!(Frame::try_from(remote), Err(ForeignFrame));
+        }
+        assert_eq!(eight.with_length_code(16), None);
+        assert_eq!(eight.with_length_code(7), None);
+        assert_eq!(WireFrame::new(ExtendedId::ZERO, &[0; 7]).unwrap().with_length_code(8), None);
+        assert_eq!(eight.with_length_code(8), Some(eight));
     }
 }

@@ -56,6 +56,19 @@ fn a_frame_that_refutes_the_formula_of_1994() {
 }
 
 #[test]
+fn a_length_code_above_eight_is_on_the_wire() {
+    let eight = extended(0x1F5F_C004, &[1, 2, 3, 4, 5, 6, 7, 8]);
+    let fifteen = eight.with_length_code(15).unwrap();
+    let [eight, fifteen] = [eight, fifteen].map(|frame| frame.wire_bits().to_string());
+    // Arbitration and reserved bits, the last five of them zeros.
+    let head = "01111100101111101111000001000001010000";
+    let (eight, fifteen) = (eight.strip_prefix(head).unwrap(), fifteen.strip_prefix(head).unwrap());
+    // Zero, a stuff bit, the code, and the first byte; the ones of the code have a stuff bit too.
+    assert!(eight.starts_with("0110000010"), "{eight}");
+    assert!(fifteen.starts_with("011111000001000"), "{fifteen}");
+}
+
+#[test]
 fn fields_stand_where_the_standard_puts_them() {
     let bits = standard(0x014, &[0x01]).wire_bits();
     let field = |bit| bits.field(bit);
@@ -90,7 +103,7 @@ fn by_the_book(frame: &WireFrame) -> String {
             push(rtr << 2, 3);
         }
     }
-    push(frame.dlc() as u64, 4);
+    push(u64::from(frame.length_code()), 4);
     frame.data().iter().for_each(|byte| push(u64::from(*byte), 8));
     let crc = bits.iter().fold(0_u16, |crc, bit| {
         let shifted = crc << 1 & 0x7FFF;
@@ -119,12 +132,12 @@ fn any_frame() -> impl Strategy<Value = WireFrame> {
             .prop_map(|id| Id::Extended(ExtendedId::new(id).unwrap())),
     ];
     let data = prop::collection::vec(runs, 0..=8);
-    (id, data, prop::bool::weighted(0.1)).prop_map(|(id, data, is_remote)| {
-        if is_remote {
-            WireFrame::new_remote(id, data.len()).unwrap()
-        } else {
-            WireFrame::new(id, &data).unwrap()
-        }
+    let code = 9..=15_u8;
+    (id, data, prop::bool::weighted(0.1), code).prop_map(|(id, data, is_remote, code)| {
+        let frame = if is_remote { WireFrame::new_remote(id, data.len()) } else { WireFrame::new(id, &data) };
+        let frame = frame.unwrap();
+        // Eight bytes may have another code.
+        if data[..].first() < Some(&0x80) { frame } else { frame.with_length_code(code).unwrap_or(frame) }
     })
 }
 

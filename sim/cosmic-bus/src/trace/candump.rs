@@ -76,7 +76,9 @@ impl core::fmt::Display for FrameText<'_> {
         if frame.is_remote_frame() {
             return write!(f, "R{}", frame.dlc());
         }
-        frame.data().iter().try_for_each(|byte| write!(f, "{byte:02X}"))
+        frame.data().iter().try_for_each(|byte| write!(f, "{byte:02X}"))?;
+        // can-utils: a length code above 8 is written behind the eight bytes.
+        if frame.length_code() > 8 { write!(f, "_{:X}", frame.length_code()) } else { Ok(()) }
     }
 }
 

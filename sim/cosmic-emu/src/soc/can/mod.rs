@@ -244,7 +244,7 @@ impl BxCan {
         let data = u64::from_le_bytes(frame.padded_data());
         let message = [
             filter::identifier_32(frame),
-            time << 16 | u32::from(found.index) << 8 | frame.dlc() as u32,
+            time << 16 | u32::from(found.index) << 8 | u32::from(frame.length_code()),
             data as u32,
             (data >> 32) as u32,
         ];

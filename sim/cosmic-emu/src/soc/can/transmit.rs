@@ -174,12 +174,14 @@ impl Mailbox {
         } else {
             Id::Standard(StandardId::new((tir >> 21) as u16).unwrap_or(StandardId::MAX))
         };
-        // A length code above 8 means 8 (ISO 11898-1).
-        let length = (tdtr & 0xF).min(8) as usize;
+        // A length code above 8 means eight bytes (ISO 11898-1), and is sent as it is.
+        let code = (tdtr & 0xF) as u8;
+        let length = usize::from(code).min(8);
         let data = (u64::from(high) << 32 | u64::from(low)).to_le_bytes();
         let frame =
             if is_remote { WireFrame::new_remote(id, length) } else { WireFrame::new(id, &data[..length]) };
-        frame.unwrap_or_else(|| unreachable!("the length is at most 8"))
+        let frame = frame.and_then(|frame| frame.with_length_code(code));
+        frame.unwrap_or_else(|| unreachable!("the length fits the code"))
     }
 }
 
