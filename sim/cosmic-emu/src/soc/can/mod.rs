@@ -12,7 +12,6 @@ mod filter;
 mod transmit;
 
 use cosmic_bus::{ErrorCause, ErrorLevel, ErrorState, WireFrame};
-use embedded_can::Frame as _;
 
 use super::timer::NotModelled;
 use fifo::Fifo;
