@@ -9,6 +9,8 @@
 //! the controller takes part again, with its counters at zero and its pending frames still in the mailboxes.
 //! So the interrupt must be served within 1408 bit times, or the bus-off has passed unseen.
 
+use cosmic_core::can::ErrorCounters;
+
 use crate::registers::Registers;
 
 /// How the controller stands towards the bus (ISO 11898-1, fault confinement).
@@ -24,34 +26,27 @@ pub enum ErrorState {
     BusOff,
 }
 
-/// The error counters of the controller.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct ErrorCounters {
-    /// Transmit error counter.
-    pub transmit: u8,
-    /// Receive error counter.
-    pub receive: u8,
-    /// What follows from them.
-    pub state: ErrorState,
-}
-
-impl ErrorCounters {
+impl ErrorState {
     /// What `CAN_ESR` says.
     const fn of(status: u32) -> Self {
-        let state = if status & ESR_BOFF != 0 {
-            ErrorState::BusOff
+        if status & ESR_BOFF != 0 {
+            Self::BusOff
         } else if status & ESR_EPVF != 0 {
-            ErrorState::Passive
+            Self::Passive
         } else if status & ESR_EWGF != 0 {
-            ErrorState::Warning
+            Self::Warning
         } else {
-            ErrorState::Active
-        };
-        Self { transmit: (status >> ESR_TEC_SHIFT) as u8, receive: (status >> ESR_REC_SHIFT) as u8, state }
+            Self::Active
+        }
     }
 }
 
-/// Reads the error counters, at any time.
+/// What `CAN_ESR` says.
+const fn counters(status: u32) -> ErrorCounters {
+    ErrorCounters { transmit: (status >> ESR_TEC_SHIFT) as u8, receive: (status >> ESR_REC_SHIFT) as u8 }
+}
+
+/// Reads the error counters and the state, at any time; changes nothing.
 pub struct BusStatus {
     registers: Registers,
 }
@@ -64,16 +59,23 @@ impl BusStatus {
     /// The error counters as they are now.
     #[inline]
     pub fn errors(&self) -> ErrorCounters {
-        // Reading changes nothing.
-        ErrorCounters::of(self.registers.read(ESR))
+        counters(self.registers.read(ESR))
+    }
+
+    /// What follows from them.
+    #[inline]
+    pub fn state(&self) -> ErrorState {
+        ErrorState::of(self.registers.read(ESR))
     }
 }
 
 /// The error state has become worse.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct StatusChange {
-    /// The error counters as they are now. If they have fallen since, the state may be better again.
+    /// The error counters as they are now.
     pub errors: ErrorCounters,
+    /// What follows from them. If they have fallen meanwhile, it may be better again.
+    pub state: ErrorState,
     /// Whether the controller went off the bus since the last change.
     pub went_off: bool,
 }
@@ -93,19 +95,20 @@ impl StatusChanges {
     ///
     /// Bounded: reads the state once more for each limit that is reached meanwhile, and there are three.
     pub fn take(&mut self) -> Option<StatusChange> {
-        let mut errors = None;
+        let mut status = None;
         // The flag is cleared first: what comes behind the last reading raises it again.
         for _ in 0..=LIMITS {
             if self.registers.read(MSR) & MSR_ERRI == 0 {
                 break;
             }
             self.registers.write(MSR, MSR_ERRI);
-            errors = Some(ErrorCounters::of(self.registers.read(ESR)));
+            status = Some(self.registers.read(ESR));
         }
-        let errors = errors?;
+        let status = status?;
+        let state = ErrorState::of(status);
         // Between two times off the bus the counters pass the warning limit, which is a change of its own.
-        let was_off = core::mem::replace(&mut self.is_off, matches!(errors.state, ErrorState::BusOff));
-        Some(StatusChange { errors, went_off: self.is_off && !was_off })
+        let was_off = core::mem::replace(&mut self.is_off, state == ErrorState::BusOff);
+        Some(StatusChange { errors: counters(status), state, went_off: self.is_off && !was_off })
     }
 }
 
@@ -144,8 +147,9 @@ mod tests {
         ];
         for (flags, state) in states {
             memory.set(ESR, 0x1234_0050 | flags);
-            let errors = BusStatus::new(memory.registers()).errors();
-            assert_eq!(errors, ErrorCounters { transmit: 0x34, receive: 0x12, state });
+            let bus = BusStatus::new(memory.registers());
+            assert_eq!(bus.state(), state);
+            assert_eq!(bus.errors(), ErrorCounters { transmit: 0x34, receive: 0x12 });
         }
     }
 
@@ -153,7 +157,7 @@ mod tests {
     fn interrupt(memory: &mut Memory, changes: &mut StatusChanges, flags: u32) -> Option<(ErrorState, bool)> {
         memory.set(ESR, flags);
         memory.set(MSR, MSR_ERRI);
-        changes.take().map(|change| (change.errors.state, change.went_off))
+        changes.take().map(|change| (change.state, change.went_off))
     }
 
     #[test]

@@ -149,12 +149,11 @@ impl Node {
     }
 
     fn watch_bus(&mut self, now: Instant) {
-        let counters = self.bus.errors();
-        let errors = ErrorCounters { transmit: counters.transmit, receive: counters.receive };
+        let errors = self.bus.errors();
         if core::mem::replace(&mut self.errors, errors) != errors {
             self.half.on_input(&Input::Errors(errors), now);
         }
-        let is_off = counters.state == ErrorState::BusOff;
+        let is_off = self.bus.state() == ErrorState::BusOff;
         if is_off && !self.is_off {
             self.half.on_input(&Input::BusOff, now);
         }

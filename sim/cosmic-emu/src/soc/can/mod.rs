@@ -378,7 +378,7 @@ fn error_flags(errors: ErrorState) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use embedded_can::ExtendedId;
+    use embedded_can::{ExtendedId, Frame as _};
 
     /// A controller in normal mode, 1 Mbit/s from 42 MHz, all frames to FIFO 0.
     fn normal() -> BxCan {

@@ -2,18 +2,15 @@
 //!
 //! `cargo xtask test emulated` builds the images and names their directory in `COSMIC_IMAGES`.
 
-mod support;
-
 use std::collections::VecDeque;
 use std::path::PathBuf;
 
 use cosmic_bus::trace::TraceKind;
-use cosmic_bus::{EventKind, VirtualInstant, WireFrame};
-use cosmic_core::can::{Etag, Id, Priority, TxNode};
-use cosmic_emu::demo::example::EXAMPLE;
+use cosmic_bus::{Bus, EventKind, FaultModel, VirtualInstant, WireFrame};
+use cosmic_core::can::{BitRate, Etag, Id, Priority, TxNode};
+use cosmic_demo::example::EXAMPLE;
 use cosmic_emu::{Cluster, NodeConfig, NodeId, ObservationKind, Port, Station};
 use embedded_can::{ExtendedId, Frame as _, StandardId};
-use support::{instant, quiet_bus};
 
 /// Sends its frames one behind the other, from an instant on.
 struct Stranger {
@@ -46,14 +43,18 @@ impl Station for Stranger {
     }
 }
 
+fn instant(microseconds: u64) -> VirtualInstant {
+    VirtualInstant::from_ticks(microseconds * 1000)
+}
+
 fn example(stranger: Vec<WireFrame>, starts_at: VirtualInstant) -> (Cluster, Vec<NodeId>) {
     let images = std::env::var_os("COSMIC_IMAGES");
     let images = PathBuf::from(
         images.expect("COSMIC_IMAGES names no directory of images: run `cargo xtask test emulated`"),
     );
-    let mut cluster = Cluster::new(quiet_bus());
+    let mut cluster = Cluster::new(Bus::new(BitRate::MAX, FaultModel::none()));
     cluster.bus_mut().record_trace(true);
-    let add = |node: &cosmic_emu::demo::example::Node| {
+    let add = |node: &cosmic_demo::example::Node| {
         cluster.add_node(NodeConfig::new(node.name, images.join(node.name))).unwrap()
     };
     let nodes = EXAMPLE.nodes.iter().map(add).collect();
