@@ -6,7 +6,8 @@ use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payl
 use cosmic_core::event_half::{Due, EventHalf, Input, Step, receive};
 use cosmic_core::event_layer::{
     AnnounceError, Attribute, Channel, Context, Depth, Event, ExceptionKind, Filter, HardAttributes,
-    Importance, NonRealTimeAttributes, Policy, PublishError, SoftAttributes, SubscribeError,
+    Importance, MessageSubscriber, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
+    SubscribeError,
 };
 use cosmic_core::network::hard::{Dispatcher, HrtBuffers, Step as HardStep};
 use cosmic_core::network::soft::RESERVED;
@@ -159,6 +160,35 @@ fn what_cannot_be_published() {
     }
     assert_eq!(half.publish(now, &temperature, &Event::new(1)), Err(PublishError::QueueFull));
     assert_eq!(half.exceptions(ExceptionKind::TransmitQueueFull), 1);
+    // Each of them has been counted.
+    let counts = |subject| half.channel_counters(subject).map(|it| (it.published, it.refused));
+    assert_eq!(counts(hard(0).subject()), Some((0, 1)));
+    assert_eq!(counts(SOFT.subject()), Some((2, 4)));
+    assert_eq!(counts(subject(0x400)), Some((0, 1)));
+}
+
+#[test]
+fn a_message_that_stops_is_dropped_at_the_next_wakeup() {
+    let mut half = node();
+    let subscription = half.subscribe(&TEXT, Filter::ALL, fifo(2)).unwrap();
+    let mut subscriber = MessageSubscriber::<2, 32>::new(subscription, Duration::from_millis(5));
+    assert_eq!(subscriber.next_wakeup(), Instant::FAR_FUTURE);
+    for late in [0, 7_000] {
+        let begin = 10_000 + late * 10;
+        // First of message 0; the rest never comes.
+        let first = frame(1_024, &[0x80, 1, 2, 3, 4, 5, 6, 7]);
+        half.on_input(&Input::Frame(first), at(begin));
+        half.receive_messages(&mut subscriber, at(begin), |message| panic!("{message:?}"));
+        assert_eq!(subscriber.next_wakeup(), at(begin + 5_000));
+        let dropped = subscriber.counters().timed_out;
+        // Early calls do no harm; a late one makes up for it.
+        half.receive_messages(&mut subscriber, at(begin + 4_999), |message| panic!("{message:?}"));
+        assert_eq!(subscriber.counters().timed_out, dropped);
+        assert_eq!(subscriber.next_wakeup(), at(begin + 5_000));
+        half.receive_messages(&mut subscriber, at(begin + 5_000 + late), |message| panic!("{message:?}"));
+        assert_eq!(subscriber.counters().timed_out, dropped + 1);
+        assert_eq!(subscriber.next_wakeup(), Instant::FAR_FUTURE);
+    }
 }
 
 #[test]

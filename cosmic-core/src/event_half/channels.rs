@@ -127,7 +127,7 @@ impl<
         quality: &Quality,
     ) -> Result<Due, PublishError> {
         let quality = if PLAIN { &Quality::PLAIN } else { quality };
-        match self.layer.publish(now, tag, payload, quality)? {
+        match self.layer.publish(now, tag, payload, quality).map_err(|error| self.refuse(tag, error))? {
             Published::Hard(buffer, payload) => {
                 if self.hard.with(|buffers| buffers.publish(buffer, payload)) {
                     self.raise_replaced(tag, now);
@@ -154,8 +154,7 @@ impl<
         submitted: Result<Option<Command>, soft::Full>,
     ) -> Result<Due, PublishError> {
         let Ok(command) = submitted else {
-            self.raise(self.layer.subject(outgoing.tag), ExceptionKind::TransmitQueueFull, now);
-            return Err(PublishError::QueueFull);
+            return Err(self.refuse_full(outgoing.tag, now));
         };
         if self.layer.is_subscribed(outgoing.tag) {
             self.deliver_locally(outgoing, now);
@@ -282,6 +281,19 @@ impl<
         let frame = Frame::new(Id::new(priority, id.tx_node(), id.etag()), outgoing.frame.payload);
         let accepted = self.layer.deliver(outgoing.tag, &frame, now);
         self.note(accepted, now);
+    }
+
+    #[cold]
+    fn refuse(&mut self, tag: Tag, error: PublishError) -> PublishError {
+        self.layer.note_refusal(tag, false);
+        error
+    }
+
+    #[cold]
+    fn refuse_full(&mut self, tag: Tag, now: Instant) -> PublishError {
+        self.layer.note_refusal(tag, true);
+        self.raise(self.layer.subject(tag), ExceptionKind::TransmitQueueFull, now);
+        PublishError::QueueFull
     }
 
     #[cold]

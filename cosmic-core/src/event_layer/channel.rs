@@ -223,11 +223,13 @@ impl Outlet {
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ChannelCounters {
-    /// Events published by this node.
+    /// Events published by this node, and taken.
     pub published: u32,
-    /// Of these, soft and non real-time ones that have been sent.
+    /// Events that were not taken; [`publish`](crate::EventHalf::publish) has said why.
+    pub refused: u32,
+    /// Of the published, soft and non real-time ones that have been sent.
     pub sent: u32,
-    /// Of these, soft and non real-time ones that expired before they were sent.
+    /// Of the published, soft and non real-time ones that expired before they were sent.
     pub discarded: u32,
     /// Events put into a subscriber's queue; one event counts once for each.
     pub delivered: u32,

@@ -350,6 +350,15 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         }
     }
 
+    /// An event was not taken. `was_counted`: as published, before there turned out to be no room for it.
+    pub(crate) fn note_refusal(&mut self, tag: Tag, was_counted: bool) {
+        if let Some(entry) = self.entry_mut(tag.0) {
+            let counters = &mut entry.counters;
+            counters.refused = counters.refused.wrapping_add(1);
+            counters.published = counters.published.wrapping_sub(was_counted.into());
+        }
+    }
+
     /// What happened on a channel, by its number.
     pub(crate) fn counters_of(&self, tag: Tag) -> ChannelCounters {
         let entry = self.channels.get(usize::from(tag.0)).and_then(Option::as_ref);

@@ -93,6 +93,12 @@ impl<const PLACES: usize, const LEN: usize> MessageSubscriber<PLACES, LEN> {
         self.reassembler.counters()
     }
 
+    /// When [`receive_messages`](crate::EventHalf::receive_messages) has a message to drop of which nothing came
+    /// any more, if no frame comes before. Calls may be early or late.
+    pub fn next_wakeup(&self) -> Instant {
+        self.reassembler.next_wakeup()
+    }
+
     pub(crate) const fn subscription(&self) -> &Subscription<Payload> {
         &self.subscription
     }

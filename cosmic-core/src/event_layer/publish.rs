@@ -10,7 +10,8 @@ use crate::network::hard::BufferId;
 use crate::network::soft::{Outgoing, Tag};
 use crate::time::Instant;
 
-/// Why an event was not published. It has been counted.
+/// Why an event was not published. It has been counted, in
+/// [`ChannelCounters::refused`](super::ChannelCounters::refused), if the channel still exists.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
