@@ -15,6 +15,7 @@
 
 pub mod bus_log;
 pub mod clock;
+mod columns;
 pub mod example;
 pub mod hard;
 pub mod journal;

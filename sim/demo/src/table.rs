@@ -1,14 +1,15 @@
-//! The report for people: tables of at most [`WIDTH`] columns.
+//! The report for people: text of at most [`WIDTH`] columns, tables as wide as the names in them.
 
 use core::fmt::{self, Write as _};
 
-use crate::report::{ChannelReport, Report, SubscriberReport};
+use crate::columns::{Column, Columns, agreeing, counted, numbers, words};
+use crate::report::{ChannelReport, ExceptionReport, Report, SubscriberReport};
 use crate::span::{Range, Span};
 
-/// No line is longer.
+/// No line of text is longer; no table either, with names as in the example.
 pub const WIDTH: usize = 100;
 
-/// Are there colours?
+/// Whether there are colours.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Style {
     /// Plain text.
@@ -41,22 +42,32 @@ impl Tables<'_> {
     }
 
     fn channels(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.heading(
-            f,
-            "                                                              latency (µs)        jitter (µs)",
-        )?;
-        self.heading(
-            f,
-            &row(
-                &["channel", "class", "published", "subscriber", "delivered", "miss/exp"],
-                &["min", "mean", "max", "min", "mean", "max"],
-            ),
-        )?;
-        for channel in &self.report.channels {
-            for (at, subscriber) in channel.subscribers.iter().enumerate() {
-                let line = self.channel_row(channel, subscriber, at == 0);
-                writeln!(f, "{line}")?;
-            }
+        let head = [
+            "channel",
+            "class",
+            "published",
+            "subscriber",
+            "delivered",
+            "miss/exp",
+            "min",
+            "mean",
+            "max",
+            "min",
+            "mean",
+            "max",
+        ];
+        let of_channel = |channel| {
+            let of_subscriber = move |(at, subscriber)| channel_row(channel, subscriber, at == 0);
+            channel.subscribers.iter().enumerate().map(of_subscriber)
+        };
+        let rows: Vec<_> = self.report.channels.iter().flat_map(of_channel).collect();
+        let texts: Vec<_> =
+            rows.iter().map(|(_, row)| row.clone()).chain([head.map(str::to_owned)]).collect();
+        let columns = Columns::wide_enough(CHANNELS, &texts);
+        self.heading(f, &ranges_heading(&columns))?;
+        self.heading(f, &columns.line(&head.map(str::to_owned)))?;
+        for (class, row) in &rows {
+            writeln!(f, "{}", self.paint_class(class, &columns.line(row)))?;
         }
         writeln!(
             f,
@@ -74,22 +85,11 @@ impl Tables<'_> {
         writeln!(f)
     }
 
-    fn channel_row(&self, channel: &ChannelReport, subscriber: &SubscriberReport, first: bool) -> String {
-        let (published, missed) = (channel.published.to_string(), missed(channel));
-        let delivered = subscriber.delivered.to_string();
-        let words = if first {
-            [channel.name, channel.class, &published, subscriber.node, &delivered, &missed]
-        } else {
-            ["", "", "", subscriber.node, &delivered, ""]
-        };
-        let numbers: Vec<_> =
-            [subscriber.latency_us, subscriber.jitter_us].into_iter().flat_map(numbers).collect();
-        let numbers: Vec<_> = numbers.iter().map(String::as_str).collect();
-        let line = row(&words, &numbers);
-        match channel.class {
-            "HRT" => self.paint(Colour::Blue, &line),
-            "SRT" => self.paint(Colour::Green, &line),
-            _ => line,
+    fn paint_class(&self, class: &str, line: &str) -> String {
+        match class {
+            "HRT" => self.paint(Colour::Blue, line),
+            "SRT" => self.paint(Colour::Green, line),
+            _ => line.to_owned(),
         }
     }
 
@@ -98,7 +98,8 @@ impl Tables<'_> {
         self.heading(f, "bus")?;
         let mut line = format!("load {:.1}% ({:.1}% asked for):", bus.load_percent, settings.load_percent);
         for class in &bus.classes {
-            write!(line, " {} {} frames {:.1}%,", class.class, class.frames, class.load_percent)?;
+            let frames = counted(class.frames, "frame");
+            write!(line, " {} {frames} {:.1}%,", class.class, class.load_percent)?;
         }
         write!(line, " errors {:.2}%.", bus.error_load_percent)?;
         wrap(f, &line)?;
@@ -113,10 +114,11 @@ impl Tables<'_> {
         wrap(f, &line)?;
         let background = &self.report.background;
         let line = format!(
-            "background load: {} of {} SRT events sent ({} missed their deadline, {} expired), {} of {} NRT.",
+            "background load: {} of {} sent ({} missed {} deadline, {} expired), {} of {} NRT.",
             background.soft_sent,
-            background.soft_published,
+            counted(background.soft_published, "SRT event"),
             background.soft_missed,
+            if background.soft_missed == 1 { "its" } else { "their" },
             background.soft_expired,
             background.non_real_time_sent,
             background.non_real_time_published
@@ -126,15 +128,19 @@ impl Tables<'_> {
     }
 
     fn exceptions(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let line = |node: &str, role: &str, channel: &str, kind: &str, counts: [&str; 2]| {
-            let [count, starting] = counts;
-            format!("{node:<13} {role:<10} {channel:<11} {kind:<30} {count:>6} {starting:>18}")
-        };
-        self.heading(f, &line("exceptions at", "as", "of channel", "kind", ["count", "while starting up"]))?;
-        for it in &self.report.exceptions {
+        let head =
+            ["exceptions at", "as", "of channel", "kind", "count", "while starting up"].map(str::to_owned);
+        let row = |it: &ExceptionReport| {
             let (role, channel) = (it.role.unwrap_or("-"), it.channel.unwrap_or("-"));
-            let counts = [it.count, it.while_starting].map(|count| count.to_string());
-            writeln!(f, "{}", line(it.node, role, channel, it.kind, counts.each_ref().map(String::as_str)))?;
+            let (count, starting) = (it.count.to_string(), it.while_starting.to_string());
+            [it.node.to_owned(), role.to_owned(), channel.to_owned(), it.kind.to_owned(), count, starting]
+        };
+        let mut rows = vec![head];
+        rows.extend(self.report.exceptions.iter().map(row));
+        let columns = Columns::wide_enough(EXCEPTIONS, &rows);
+        for (at, row) in rows.iter().enumerate() {
+            let line = columns.line(row);
+            if at == 0 { self.heading(f, &line)? } else { writeln!(f, "{line}")? }
         }
         if self.report.exceptions.is_empty() {
             writeln!(f, "none")?;
@@ -172,9 +178,11 @@ impl Tables<'_> {
         let order = &report.order;
         let worst = order.worst_us.map_or("-".into(), |worst| worst.max(Span::ZERO).to_string());
         let line = format!(
-            "SRT order: {} times a frame waited while another won, {} times a node chose; a more urgent event \
-             waited behind one that was less urgent by {worst} at most; allowed {}.",
-            order.contests, order.choices, order.bound_us
+            "SRT order: {} a frame waited while another won, {} a node chose; a more urgent event waited behind \
+             one that was less urgent by {worst} at most; allowed {}.",
+            counted(order.contests as u64, "time"),
+            counted(order.choices as u64, "time"),
+            order.bound_us
         );
         wrap(f, &line)?;
         for violation in report.violations.iter().take(MOST_VIOLATIONS) {
@@ -192,7 +200,7 @@ impl Tables<'_> {
                 self.paint(Colour::Green, "PASSED: all as promised, and every loss was reported.")
             )
         } else {
-            let text = format!("FAILED: {} violations.", report.violations.len());
+            let text = format!("FAILED: {}.", counted(report.violations.len() as u64, "violation"));
             writeln!(f, "{}", self.paint(Colour::Red, &text))
         }
     }
@@ -228,19 +236,44 @@ enum Colour {
     Blue = 34,
 }
 
-fn row(words: &[&str; 6], numbers: &[&str]) -> String {
-    let [channel, class, published, subscriber, delivered, missed] = words;
-    let mut line =
-        format!("{channel:<11} {class:<5} {published:>9} {subscriber:<11} {delivered:>9} {missed:>8}");
-    for (at, number) in numbers.iter().enumerate() {
-        let width = if at < 3 { LATENCY } else { JITTER };
-        // Cannot fail: the target is a string.
-        let _ = write!(line, " {number:>width$}");
-    }
-    line
+/// The row of a subscriber, and the class of its channel, which stands in the first row only.
+fn channel_row<'r>(
+    channel: &'r ChannelReport,
+    subscriber: &SubscriberReport,
+    first: bool,
+) -> (&'r str, [String; 12]) {
+    let of_channel = |text: String| if first { text } else { String::new() };
+    let [least, mean, greatest] = range(subscriber.latency_us);
+    let [least_jitter, mean_jitter, greatest_jitter] = range(subscriber.jitter_us);
+    let row = [
+        of_channel(channel.name.to_owned()),
+        of_channel(channel.class.to_owned()),
+        of_channel(channel.published.to_string()),
+        subscriber.node.to_owned(),
+        subscriber.delivered.to_string(),
+        of_channel(missed(channel)),
+        least,
+        mean,
+        greatest,
+        least_jitter,
+        mean_jitter,
+        greatest_jitter,
+    ];
+    (channel.class, row)
 }
 
-fn numbers(range: Option<Range>) -> [String; 3] {
+/// What the columns of numbers are about, in their midst.
+fn ranges_heading(columns: &Columns<12>) -> String {
+    let (latency, jitter) = (columns.span(6, 9), columns.span(9, 12));
+    let middle = |text: &str, width: usize| width.saturating_sub(text.chars().count()) / 2;
+    let before = columns.span(0, 6) - 1 + middle("latency (µs)", latency);
+    let at = columns.span(0, 9) - 1 + middle("jitter (µs)", jitter);
+    let line = format!("{:before$}latency (µs)", "");
+    let between = at.saturating_sub(line.chars().count());
+    format!("{line}{:between$}jitter (µs)", "")
+}
+
+fn range(range: Option<Range>) -> [String; 3] {
     match range {
         Some(Range { min, mean, max }) => [min, mean, max].map(number),
         None => ["-", "-", "-"].map(str::to_owned),
@@ -269,7 +302,7 @@ fn remainder(channel: &ChannelReport) -> Option<String> {
     let mut parts = Vec::new();
     for (count, what) in [
         (channel.lost_while_settling, "before the clocks were synchronised"),
-        (channel.under_way, "on their way at the end"),
+        (channel.under_way, agreeing(channel.under_way, "on its way at the end", "on their way at the end")),
         (channel.refused, "refused, with an exception"),
     ] {
         if count > 0 {
@@ -301,7 +334,21 @@ fn wrap(f: &mut impl fmt::Write, text: &str) -> fmt::Result {
     writeln!(f)
 }
 
-const LATENCY: usize = 6;
-const JITTER: usize = 5;
+const CHANNELS: [Column; 12] = [
+    words(11),
+    words(5),
+    numbers(9),
+    words(11),
+    numbers(9),
+    numbers(8),
+    // Latency, then jitter.
+    numbers(6),
+    numbers(6),
+    numbers(6),
+    numbers(5),
+    numbers(5),
+    numbers(5),
+];
+const EXCEPTIONS: [Column; 6] = [words(13), words(10), words(11), words(30), numbers(6), numbers(18)];
 /// More are in the JSON report.
 const MOST_VIOLATIONS: usize = 10;

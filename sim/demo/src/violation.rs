@@ -4,6 +4,7 @@ use cosmic_bus::VirtualInstant;
 use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 
+use crate::columns::{agreeing, counted};
 use crate::example::Cluster;
 use crate::journal::LoggedError;
 use crate::order::Inversion;
@@ -155,15 +156,17 @@ impl Violation {
                 format!("{}: published, but not sent in its slot ({reason})", slot(etag, ready))
             }
             Self::NotDelivered { ready, etag, subscriber, faulted } => format!(
-                "{}: not delivered to {}, with {faulted} destroyed attempts",
+                "{}: not delivered to {}, with {}",
                 slot(etag, ready),
-                name(subscriber)
+                name(subscriber),
+                counted(*faulted, "destroyed attempt")
             ),
             Self::OffInstant { ready, etag, subscriber, off } => {
                 format!("{}: visible to {} {off} off its instant", slot(etag, ready), name(subscriber))
             }
             Self::Duplicate { ready, etag, subscriber, times } => {
-                format!("{}: visible to {} {times} times", slot(etag, ready), name(subscriber))
+                let times = counted(*times as u64, "time");
+                format!("{}: visible to {} {times}", slot(etag, ready), name(subscriber))
             }
             Self::OutsideSlot { at, etag } => {
                 format!("{}: a frame outside its slot, at {}", channel(etag), milliseconds(*at))
@@ -172,10 +175,12 @@ impl Violation {
                 format!("{}: lost, and {} was not told ({kind:?})", slot(etag, ready), name(node))
             }
             Self::Unreported { etag, node, what, lost, reported } => format!(
-                "{}: {lost} events {}, {} was told {reported} times",
+                "{}: {} {}, {} was told {}",
                 channel(etag),
-                what.describe(),
-                name(node)
+                counted(*lost as u64, "event"),
+                what.describe(*lost),
+                name(node),
+                counted(*reported as u64, "time")
             ),
             Self::OutOfOrder(inversion) => format!(
                 "at {}: {} sent an event {} less urgent than one of {}",
@@ -184,26 +189,35 @@ impl Violation {
                 inversion.by,
                 name(&inversion.loser)
             ),
-            Self::RecordsLost { etag, count } => format!("{}: {count} records are missing", channel(etag)),
+            Self::RecordsLost { etag, count } => {
+                let verb = if *count == 1 { "is" } else { "are" };
+                format!("{}: {} {verb} missing", channel(etag), counted(*count, "record"))
+            }
             Self::BusOffUntold { node, at } => {
                 format!("{} was bus-off from {} on and was not told", name(node), milliseconds(*at))
             }
             Self::Logged(error) => {
                 format!("at {}: {} logged: {}", milliseconds(error.at), name(&error.node), error.text)
             }
+            Self::Invented { count: 1 } => "1 frame or record of an event that nobody published".into(),
             Self::Invented { count } => format!("{count} frames or records of events that nobody published"),
         }
     }
 }
 
 impl Loss {
-    const fn describe(self) -> &'static str {
+    /// What became of so many events.
+    const fn describe(self, events: usize) -> &'static str {
         match self {
-            Self::Late => "were late",
+            Self::Late => agreeing(events, "was late", "were late"),
             Self::Expired => "expired",
-            Self::Undelivered => "were sent but not delivered",
-            Self::Refused => "were refused",
+            Self::Undelivered => {
+                agreeing(events, "was sent but not delivered", "were sent but not delivered")
+            }
+            Self::Refused => agreeing(events, "was refused", "were refused"),
+            Self::Settling if events == 1 => "was lost before the clocks were synchronised",
             Self::Settling => "were lost before the clocks were synchronised",
+            Self::Overtaken if events == 1 => "was not sent, but a later one was",
             Self::Overtaken => "were not sent, but later ones were",
         }
     }

@@ -94,6 +94,11 @@ impl<'t> Label<'t> {
         Self { halo: true, ..self }
     }
 
+    /// Smaller, if it would be wider than that.
+    pub(super) fn shrunk_to(self, width: f64) -> Self {
+        Self { size: self.size * (width / self.width()).min(1.0), ..self }
+    }
+
     /// How wide it will be, about: fonts differ.
     pub(super) fn width(&self) -> f64 {
         let share = if self.bold { 0.64 } else { 0.58 };
@@ -109,7 +114,7 @@ impl<'t> Label<'t> {
         let mut text = Text::new(self.text)
             .set("x", round(x))
             .set("y", round(y))
-            .set("font-size", self.size)
+            .set("font-size", round(self.size))
             .set("fill", self.ink)
             .set("text-anchor", anchor);
         if self.halo {
@@ -170,4 +175,16 @@ pub(super) fn definitions() -> Definitions {
 /// To a hundredth: enough for the eye, and the file stays small.
 pub(super) fn round(value: f64) -> f64 {
     (value * 100.0).round() / 100.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_names_are_shrunk_and_short_ones_are_not() {
+        assert_eq!(Label::new("brake", 13.0).bold().shrunk_to(104.0).size, 13.0);
+        let long = Label::new("controller of the left front wheel", 13.0).bold().shrunk_to(104.0);
+        assert!((103.0..105.0).contains(&long.width()), "{}", long.width());
+    }
 }

@@ -37,7 +37,7 @@ pub(super) fn draw(journal: &Journal, verdict: &Verdict, occurrence: &Occurrence
         .add(frames::draw(journal, &lane));
     for (at, node) in journal.cluster.nodes.iter().enumerate() {
         let y = top + NODES + at as f64 * NODE_LANE;
-        let name = Label::new(node.name, 13.0).bold().anchor(Anchor::End);
+        let name = Label::new(node.name, 13.0).bold().shrunk_to(LEFT - 16.0).anchor(Anchor::End);
         group = group
             .add(name.at(LEFT - 12.0, y + 21.0))
             .add(line((LEFT, y + 16.0), (RIGHT, y + 16.0), GRID, 1.0))

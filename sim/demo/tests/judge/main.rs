@@ -204,6 +204,57 @@ fn tables_fit_their_width() {
 }
 
 #[test]
+fn tables_follow_names_of_any_length() {
+    let journal = Run::quiet(1_000).journal();
+    let mut report = Report::of(SETTINGS, &journal, &Verdict::of(&journal));
+    report.channels[1].name = "temperature of the left front wheel";
+    report.channels[1].subscribers[0].node = "body controller";
+    let text = Tables { report: &report, style: Style::Plain }.to_string();
+    let lines: Vec<_> = text.lines().skip(1).take(2 + report.channels.len()).collect();
+    let widths: Vec<_> = lines.iter().map(|line| line.chars().count()).collect();
+    assert_eq!(widths, vec![97 + 35 - 11 + 15 - 11; lines.len()], "{text}");
+    let long = lines.iter().find(|line| line.contains("left front")).unwrap();
+    let place = |line: &str, word: &str| line.find(word).unwrap();
+    assert_eq!(place(lines[0], "class"), place(long, "SRT"), "{text}");
+    assert_eq!(place(lines[0], "subscriber"), place(long, "body controller"), "{text}");
+}
+
+#[test]
+fn one_is_no_plural() {
+    let journal = Run::quiet(1_000).journal();
+    let mut verdict = Verdict::of(&journal);
+    verdict.violations = vec![
+        Violation::RecordsLost { etag: wheel(), count: 1 },
+        Violation::Invented { count: 1 },
+        Violation::Unreported { etag: wheel(), node: brake(), what: Loss::Late, lost: 1, reported: 2 },
+    ];
+    let words: Vec<_> = verdict.violations.iter().map(|it| it.describe(&EXAMPLE)).collect();
+    assert_eq!(
+        words,
+        [
+            "wheel speed: 1 record is missing",
+            "1 frame or record of an event that nobody published",
+            "wheel speed: 1 event was late, brake was told 2 times",
+        ]
+    );
+    verdict.violations.truncate(1);
+    let mut report = Report::of(SETTINGS, &journal, &verdict);
+    report.bus.classes[0].frames = 1;
+    (report.background.soft_published, report.background.soft_missed) = (1, 1);
+    (report.order.contests, report.channels[1].under_way) = (1, 1);
+    let text = Tables { report: &report, style: Style::Plain }.to_string();
+    for words in [
+        "HRT 1 frame ",
+        "of 1 SRT event sent (1 missed its deadline",
+        "SRT order: 1 time a frame waited",
+        "temperature 1 on its way at the end",
+        "FAILED: 1 violation.",
+    ] {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+}
+
+#[test]
 fn the_picture_shows_the_slot_that_was_hit() {
     let faults = FaultModel::seeded(11).with_inversion(Chance::new(0.03).unwrap());
     let journal = Run { faults, load_interval: 130, ..Run::quiet(3_000) }.journal();
