@@ -34,7 +34,7 @@ struct Measurement {
     /// The largest value that is allowed.
     #[serde(skip_serializing_if = "Option::is_none")]
     limit: Option<u32>,
-    /// Did all runs take the same number of instructions?
+    /// Whether all runs took the same number of instructions.
     exact: bool,
 }
 

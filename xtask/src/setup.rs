@@ -148,7 +148,8 @@ fn library_directories() -> Vec<PathBuf> {
     directories
 }
 
-/// Is libclang in one of the directories, and beside it the headers that come with a compiler?
+/// Returns whether libclang is in one of the directories, and beside it the headers that come with a
+/// compiler.
 fn has_libclang(directories: &[PathBuf]) -> bool {
     directories.iter().any(|directory| has_library(directory) && directory.join("clang").is_dir())
 }

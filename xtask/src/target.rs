@@ -62,12 +62,12 @@ impl Choice {
         }
     }
 
-    /// May rustup's library be used?
+    /// Returns whether rustup's library may be used.
     pub(crate) fn allows_rustup(self) -> bool {
         self != Self::Debian
     }
 
-    /// May Debian's compiler be used?
+    /// Returns whether Debian's compiler may be used.
     pub(crate) fn allows_debian(self) -> bool {
         self != Self::Rustup
     }
@@ -81,13 +81,13 @@ impl TargetWay {
         rustup().or_else(debian)
     }
 
-    /// Is the target installed for the compiler in use?
+    /// rustup's way, if the target is installed for the compiler in use.
     fn rustup() -> Option<Self> {
         let sysroot = sysroot(Path::new(&active_compiler()))?;
         sysroot.join("lib/rustlib").join(TRIPLE).join("lib").is_dir().then_some(Self::Rustup)
     }
 
-    /// Is a compiler there that is new enough, with its source, and a linker?
+    /// Debian's way, if a compiler is there that is new enough, with its source, and a linker.
     fn debian() -> Option<Self> {
         let all_there = missing_for_debian().is_empty();
         let compiler = PathBuf::from(DEBIAN_COMPILER);
@@ -184,7 +184,7 @@ fn stdout(command: &mut Command) -> Option<String> {
     Some(String::from_utf8(output.stdout).ok()?.trim().to_owned())
 }
 
-/// Is the version `found` (such as `1.96.0`) the version `oldest` (such as `1.95`) or newer?
+/// Returns whether the version `found` (such as `1.96.0`) is the version `oldest` (such as `1.95`) or newer.
 fn is_at_least(found: &str, oldest: &str) -> bool {
     let numbers = |version: &str| -> Vec<u32> {
         // A pre-release such as 1.97.0-nightly counts as its release.

@@ -44,7 +44,7 @@ impl ErrorState {
         }
     }
 
-    /// Does the station signal errors by dominant flags?
+    /// Returns whether the station signals errors by dominant flags.
     pub(crate) fn is_error_active(self) -> bool {
         self.level() < ErrorLevel::Passive
     }

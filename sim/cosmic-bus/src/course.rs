@@ -35,13 +35,13 @@ pub(crate) struct Disturbance {
     pub(crate) cause: ErrorCause,
     pub(crate) origin: Origin,
     pub(crate) sender_counts: SenderCounts,
-    /// Did the receivers take the frame for failed, too?
+    /// Whether the receivers took the frame for failed, too.
     pub(crate) receivers_count: bool,
 }
 
 /// Something to do during a transmission.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) enum Step {
+pub(crate) enum Milestone {
     /// The receivers accept.
     Accept,
     /// The error is seen.
@@ -55,7 +55,7 @@ pub(crate) enum Step {
 /// The steps of a transmission, each at its offset, and the offset at which the bus is free again.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Course {
-    pub(crate) steps: [Option<(u32, Step)>; 3],
+    pub(crate) steps: [Option<(u32, Milestone)>; 3],
     pub(crate) disturbance: Option<Disturbance>,
     pub(crate) free: u32,
 }
@@ -64,7 +64,7 @@ impl Course {
     /// The frame is sent and acknowledged.
     pub(crate) const fn undisturbed(bits: u32) -> Self {
         Self {
-            steps: [Some((bits - 1, Step::Accept)), Some((bits, Step::Complete)), None],
+            steps: [Some((bits - 1, Milestone::Accept)), Some((bits, Milestone::Complete)), None],
             disturbance: None,
             free: bits + INTERMISSION_BITS,
         }
@@ -74,7 +74,7 @@ impl Course {
     pub(crate) const fn broken(disturbance: Disturbance, flags_end: u32) -> Self {
         let end = flags_end + ERROR_DELIMITER_BITS;
         Self {
-            steps: [Some((disturbance.bit + 1, Step::Disturb)), Some((end, Step::Fail)), None],
+            steps: [Some((disturbance.bit + 1, Milestone::Disturb)), Some((end, Milestone::Fail)), None],
             disturbance: Some(disturbance),
             free: end + INTERMISSION_BITS,
         }
@@ -109,7 +109,11 @@ impl Course {
         };
         let end = bits + FLAG_BITS + ERROR_DELIMITER_BITS;
         Self {
-            steps: [Some((bits - 1, Step::Accept)), Some((bits, Step::Disturb)), Some((end, Step::Fail))],
+            steps: [
+                Some((bits - 1, Milestone::Accept)),
+                Some((bits, Milestone::Disturb)),
+                Some((end, Milestone::Fail)),
+            ],
             disturbance: Some(disturbance),
             free: end + INTERMISSION_BITS,
         }
@@ -128,11 +132,11 @@ impl Course {
 /// Who is there to signal an error.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Parties {
-    /// Is any sender error active?
+    /// Whether any sender is error active.
     pub(crate) active_sender: bool,
-    /// Is there any receiver?
+    /// Whether there is any receiver.
     pub(crate) receiver: bool,
-    /// Is any receiver error active?
+    /// Whether any receiver is error active.
     pub(crate) active_receiver: bool,
 }
 

@@ -39,7 +39,7 @@ impl Filter {
         Self::new(id, false, u32::MAX)
     }
 
-    /// Does `frame` pass?
+    /// Returns whether `frame` passes.
     #[inline]
     pub const fn matches(&self, frame: &WireFrame) -> bool {
         frame.arbitration().raw() & self.mask == self.value
@@ -61,7 +61,7 @@ impl Filters {
         Self(Vec::new())
     }
 
-    /// Does `frame` pass? Looks at the filters in turn, some at once, until one matches.
+    /// Returns whether `frame` passes. Looks at the filters in turn, some at once, until one matches.
     #[inline]
     pub fn accept(&self, frame: &WireFrame) -> bool {
         // Without a branch for each the compiler compares several in one instruction.

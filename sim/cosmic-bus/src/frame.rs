@@ -45,12 +45,12 @@ impl Arbitration {
         self.0
     }
 
-    /// Does the frame have an extended (29-bit) identifier?
+    /// Returns whether the frame has an extended (29-bit) identifier.
     pub const fn is_extended(self) -> bool {
         self.0 & Self::IDE != 0
     }
 
-    /// Is it a remote frame?
+    /// Returns whether it is a remote frame.
     pub const fn is_remote(self) -> bool {
         let rtr = if self.is_extended() { Self::RTR_EXTENDED } else { Self::RTR_STANDARD };
         self.0 & rtr != 0

@@ -89,7 +89,7 @@ fn attempted(trace: &[TraceEvent], calendar: &'static Calendar) -> Vec<Attempted
     all
 }
 
-/// Was the node on, connected and synchronised for the milliseconds around this instant?
+/// Returns whether the node was on, connected and synchronised for the milliseconds around this instant.
 fn is_healthy(journal: &Journal, absences: &[Absence], node: u8, at: VirtualInstant) -> bool {
     let millisecond = (at.as_ticks() / MILLISECOND) as usize;
     let row = &journal.healthy[usize::from(node)];

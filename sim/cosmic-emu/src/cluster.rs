@@ -105,7 +105,7 @@ impl Cluster {
         self.nodes[node.0].0.tim2()
     }
 
-    /// Has the node stopped, by a fault or because it was switched off?
+    /// Returns whether the node has stopped, by a fault or because it was switched off.
     pub fn is_stopped(&self, node: NodeId) -> bool {
         self.nodes[node.0].0.is_stopped()
     }

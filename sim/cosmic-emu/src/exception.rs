@@ -78,7 +78,7 @@ pub(crate) fn enter(cpu: &mut dyn Cpu, exception: u16, handler: u32, exc_return:
     cpu.set_register(Register::Pc, handler);
 }
 
-/// Is this an EXC_RETURN that the core accepts in this situation?
+/// Returns whether this is an EXC_RETURN that the core accepts in this situation.
 pub(crate) fn is_valid(exc_return: u32, leaves_thread: bool) -> bool {
     let is_known = matches!(exc_return | RETURN_BASIC, 0xFFFF_FFF1 | 0xFFFF_FFF9 | 0xFFFF_FFFD);
     is_known && leaves_thread == (exc_return & RETURN_THREAD != 0)

@@ -8,7 +8,7 @@ pub(crate) struct Region {
 }
 
 impl Region {
-    /// Does the region hold `length` bytes from `address` on?
+    /// Returns whether the region holds `length` bytes from `address` on.
     pub(crate) const fn holds(&self, address: u32, length: usize) -> bool {
         match address.checked_sub(self.base) {
             Some(offset) => offset as usize + length <= self.size as usize,

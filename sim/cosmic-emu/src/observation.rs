@@ -66,7 +66,7 @@ pub enum ObservationKind {
     Pin {
         /// Which pin.
         pin: Pin,
-        /// High?
+        /// Whether it is high.
         level: bool,
         /// Instructions that the node had executed, the writing one included.
         instructions: u64,

@@ -40,7 +40,7 @@ impl Attempt {
         Frame::try_from(self.wire_frame).ok()
     }
 
-    /// Was it destroyed?
+    /// Returns whether it was destroyed.
     pub const fn has_failed(&self) -> bool {
         matches!(self.ending, Ending::Failed(_))
     }
@@ -115,7 +115,7 @@ impl BusLog {
         changes.filter(|it| it.level == ErrorLevel::BusOff).map(|it| it.at)
     }
 
-    /// Was a station bus-off at some time from `from` to `until`?
+    /// Returns whether a station was bus-off at some time from `from` to `until`.
     pub fn was_off(&self, station: StationId, from: VirtualInstant, until: VirtualInstant) -> bool {
         let changes = || self.levels.iter().filter(|it| it.station == station);
         let before = changes().take_while(|it| it.at <= from).last();
@@ -217,7 +217,7 @@ fn real_time(frame: &WireFrame) -> Option<Frame> {
     (frame.id.priority() <= Priority::SOFT_LEAST_URGENT).then_some(frame)
 }
 
-/// Does the frame carry a soft real-time event?
+/// Returns whether the frame carries a soft real-time event.
 pub fn is_soft(id: Id) -> bool {
     let soft = Priority::SOFT_MOST_URGENT..=Priority::SOFT_LEAST_URGENT;
     soft.contains(&id.priority()) && !id.etag().is_reserved()

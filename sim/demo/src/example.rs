@@ -39,16 +39,16 @@ pub struct Channel {
     /// Its etag.
     pub etag: Etag,
     /// Its class and what that asks for.
-    pub class: Class,
+    pub class: Promise,
     /// Who publishes.
     pub publisher: TxNode,
     /// Who subscribes.
     pub subscribers: Vec<TxNode>,
 }
 
-/// The class of a channel.
+/// What a channel promises: its class, and what that asks for.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Class {
+pub enum Promise {
     /// Hard real-time; the calendar says the rest.
     Hard,
     /// Soft real-time.
@@ -62,8 +62,8 @@ pub enum Class {
     NonRealTime,
 }
 
-impl Class {
-    /// As it stands in tables.
+impl Promise {
+    /// The class as it stands in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Hard => "HRT",
@@ -98,13 +98,13 @@ pub static EXAMPLE: LazyLock<Cluster> = LazyLock::new(|| {
         node(plan::nodes::brake::NAME, plan::nodes::brake::TX_NODE),
         node(plan::nodes::diagnostics::NAME, plan::nodes::diagnostics::TX_NODE),
     ];
-    let soft = |it: SoftAttributes| Class::Soft { deadline: it.deadline, validity: it.validity };
+    let soft = |it: SoftAttributes| Promise::Soft { deadline: it.deadline, validity: it.validity };
     let channels = vec![
-        channel("wheel speed", wheel_speed::SUBJECT, wheel_speed::ETAG, Class::Hard),
+        channel("wheel speed", wheel_speed::SUBJECT, wheel_speed::ETAG, Promise::Hard),
         channel("temperature", temperature::SUBJECT, temperature::ETAG, soft(temperature::ATTRIBUTES)),
         channel("brake force", brake_force::SUBJECT, brake_force::ETAG, soft(brake_force::ATTRIBUTES)),
         channel("suspension", suspension::SUBJECT, suspension::ETAG, soft(suspension::ATTRIBUTES)),
-        channel("logbook", logbook::SUBJECT, logbook::ETAG, Class::NonRealTime),
+        channel("logbook", logbook::SUBJECT, logbook::ETAG, Promise::NonRealTime),
     ];
     Cluster { calendar: &plan::CALENDAR, nodes, channels: channels.into_iter().flatten().collect() }
 });
@@ -119,7 +119,7 @@ fn node(name: &'static str, tx_node: TxNode) -> Node {
 }
 
 /// A channel of the plan; `None` if nobody publishes on it.
-fn channel(name: &'static str, subject: Subject, etag: Etag, class: Class) -> Option<Channel> {
+fn channel(name: &'static str, subject: Subject, etag: Etag, class: Promise) -> Option<Channel> {
     use plan::nodes::{brake, diagnostics, sensor};
     let nodes = [
         (sensor::TX_NODE, sensor::PUBLISHES, sensor::SUBSCRIBES),
@@ -141,10 +141,10 @@ mod tests {
         assert_eq!(names, ["wheel speed", "temperature", "brake force", "suspension", "logbook"]);
         for channel in &EXAMPLE.channels {
             assert!(!channel.subscribers.is_empty(), "{}", channel.name);
-            assert_eq!(channel.class == Class::Hard, channel.etag.is_hard());
+            assert_eq!(channel.class == Promise::Hard, channel.etag.is_hard());
             assert!(EXAMPLE.node(channel.publisher).is_some());
         }
-        let hard = EXAMPLE.channels.iter().filter(|channel| channel.class == Class::Hard);
+        let hard = EXAMPLE.channels.iter().filter(|channel| channel.class == Promise::Hard);
         assert!(hard.map(|it| it.etag).eq(EXAMPLE.calendar.slots().iter().map(|slot| slot.etag)));
     }
 }

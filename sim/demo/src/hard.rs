@@ -51,7 +51,7 @@ pub struct Occurrence {
     pub attempts: Vec<usize>,
     /// How many of them were destroyed.
     pub faulted: u32,
-    /// Was the publisher or a subscriber bus-off in it?
+    /// Whether the publisher or a subscriber was bus-off in it.
     pub bus_off: bool,
     /// The event that it carried; `None` if nothing was sent.
     pub sequence: Option<u32>,
@@ -75,7 +75,7 @@ pub enum Fate {
 }
 
 impl Occurrence {
-    /// Was more lost than the slot is made for?
+    /// Returns whether more was lost than the slot is made for.
     pub fn is_beyond_hypothesis(&self) -> bool {
         self.bus_off || self.faulted > u32::from(self.slot.omission_degree)
     }
@@ -270,10 +270,12 @@ impl Judge<'_> {
         if !everywhere && occurrence.faulted > u32::from(slot.omission_degree) {
             self.publisher_must_know(occurrence, slots);
         }
-        match () {
-            () if slots.violations.len() > before => Fate::Violated,
-            () if everywhere => Fate::Delivered,
-            () => Fate::Lost,
+        if slots.violations.len() > before {
+            Fate::Violated
+        } else if everywhere {
+            Fate::Delivered
+        } else {
+            Fate::Lost
         }
     }
 
@@ -320,12 +322,13 @@ impl Judge<'_> {
         }
     }
 
-    /// Was the node bus-off at some time in the window?
+    /// Returns whether the node was bus-off at some time in the window.
     fn was_off(&self, node: TxNode, window: &Window) -> bool {
         self.journal.was_off(node, window.ready, window.delivery)
     }
 
-    /// Was the node told of this between the ready instant and half a period after the delivery instant?
+    /// Returns whether the node was told of this between the ready instant and half a period after the
+    /// delivery instant.
     fn was_told(&self, node: TxNode, slot: &Slot, window: &Window, kind: ExceptionKind) -> bool {
         let early = Span::from(self.journal.cluster.calendar.segment().accuracy);
         let from = (-early).after(window.ready);

@@ -51,7 +51,7 @@ impl Journal {
         self.clocks.iter().find(|(node, _)| *node == tx_node).map(|(_, clock)| *clock)
     }
 
-    /// Was a node bus-off at some time from `from` to `until`?
+    /// Returns whether a node was bus-off at some time from `from` to `until`.
     pub fn was_off(&self, tx_node: TxNode, from: VirtualInstant, until: VirtualInstant) -> bool {
         let stations = self.stations.iter().filter(|(node, _)| *node == tx_node);
         stations.map(|(_, station)| *station).any(|station| self.bus.was_off(station, from, until))

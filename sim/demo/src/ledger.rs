@@ -11,7 +11,7 @@ use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::time::Duration;
 
 use crate::bus_log::{Ending, sequence_of};
-use crate::example::{Channel, Class};
+use crate::example::{Channel, Promise};
 use crate::journal::Journal;
 use crate::record::RecordKind;
 
@@ -40,7 +40,7 @@ pub struct Account {
 pub struct Life {
     /// When the application handed it to the middleware.
     pub published_at: VirtualInstant,
-    /// Did the middleware take it?
+    /// Whether the middleware took it.
     pub taken: bool,
     /// When it should have been sent; soft real-time only.
     pub deadline: Option<VirtualInstant>,
@@ -131,8 +131,8 @@ impl Ledger {
             };
             let after = |span: Duration| Some(clock.instant(record.at + span));
             let (deadline, expires_at) = match account.channel.class {
-                Class::Soft { deadline, validity } => (after(deadline), after(validity)),
-                Class::Hard | Class::NonRealTime => (None, None),
+                Promise::Soft { deadline, validity } => (after(deadline), after(validity)),
+                Promise::Hard | Promise::NonRealTime => (None, None),
             };
             let published_at = clock.instant(record.at);
             let deliveries = Vec::new();

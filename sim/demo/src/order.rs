@@ -1,4 +1,4 @@
-//! Are soft real-time events sent in the order of their deadlines where they compete?
+//! Judges whether soft real-time events are sent in the order of their deadlines where they compete.
 //!
 //! Between nodes the bus decides, by the priority field, which shows a deadline in steps of Δt_p and is
 //! promoted as time passes. So a frame may win against one that is more urgent by at most one step, plus

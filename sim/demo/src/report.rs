@@ -9,12 +9,12 @@ use cosmic_core::event_layer::ExceptionKind;
 use serde::Serialize;
 
 use crate::bus_log::{Attempt, Ending};
-use crate::example::{Channel, Class};
+use crate::example::{Channel, Promise};
 use crate::hard::{self, Fate};
 use crate::journal::Journal;
 use crate::order;
 use crate::span::{Range, Span, Spread};
-use crate::verdict::{Tally, Verdict};
+use crate::verdict::{Totals, Verdict};
 
 /// What the run was asked for.
 #[derive(Clone, Copy, PartialEq, Serialize, Debug)]
@@ -36,7 +36,7 @@ pub struct Settings {
 pub struct Report {
     /// What was asked for.
     pub settings: Settings,
-    /// Was everything as promised?
+    /// Whether everything was as promised.
     pub passed: bool,
     /// What was not.
     pub violations: Vec<String>,
@@ -204,7 +204,7 @@ pub struct ExceptionReport {
     pub node: &'static str,
     /// The channel's name; `None` if they concern the node as a whole.
     pub channel: Option<&'static str>,
-    /// Is the node the publisher of the channel, or a subscriber?
+    /// Whether the node is the publisher of the channel, or a subscriber.
     pub role: Option<&'static str>,
     /// What.
     pub kind: &'static str,
@@ -218,7 +218,7 @@ impl Report {
     /// The numbers of a run and its verdict.
     pub fn of(settings: Settings, journal: &Journal, verdict: &Verdict) -> Self {
         let start = VirtualInstant::from_ticks(0);
-        let accounts = verdict.ledger.channels.iter().zip(&verdict.tallies);
+        let accounts = verdict.ledger.channels.iter().zip(&verdict.totals);
         Self {
             settings,
             passed: verdict.is_passed(),
@@ -229,7 +229,7 @@ impl Report {
                 exceptions: verdict.slots.settling_exceptions,
             },
             channels: accounts
-                .map(|(account, tally)| channel(journal, verdict, account.channel, tally))
+                .map(|(account, totals)| channel(journal, verdict, account.channel, totals))
                 .collect(),
             slots: slots(journal, verdict),
             order: OrderReport {
@@ -246,18 +246,23 @@ impl Report {
     }
 }
 
-fn channel(journal: &Journal, verdict: &Verdict, channel: &'static Channel, tally: &Tally) -> ChannelReport {
+fn channel(
+    journal: &Journal,
+    verdict: &Verdict,
+    channel: &'static Channel,
+    totals: &Totals,
+) -> ChannelReport {
     ChannelReport {
         name: channel.name,
         class: channel.class.name(),
         publisher: journal.cluster.name(channel.publisher),
-        published: tally.published,
-        refused: tally.refused,
-        sent: tally.sent,
-        missed: tally.missed,
-        expired: tally.expired,
-        under_way: tally.under_way,
-        lost_while_settling: tally.settling,
+        published: totals.published,
+        refused: totals.refused,
+        sent: totals.sent,
+        missed: totals.missed,
+        expired: totals.expired,
+        under_way: totals.under_way,
+        lost_while_settling: totals.settling,
         subscribers: channel
             .subscribers
             .iter()
@@ -287,7 +292,7 @@ fn subscriber(
             jitter.add((span - previous).abs());
         }
     }
-    if channel.class == Class::Hard {
+    if channel.class == Promise::Hard {
         let of = verdict.slots.jitter.iter().find(|(at, slot, _)| (*at, slot.etag) == (node, channel.etag));
         jitter = of.map_or(Spread::default(), |(.., spread)| *spread);
     }

@@ -1,10 +1,10 @@
-//! The verdict: was everything as promised, and was everything that was lost reported?
+//! The verdict: whether everything was as promised, and whether everything that was lost was reported.
 
 use cosmic_bus::VirtualInstant;
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::time::Duration;
 
-use crate::example::{Channel, Class};
+use crate::example::{Channel, Promise};
 use crate::hard::{self, Fate, Slots};
 use crate::journal::Journal;
 use crate::ledger::{Account, Ledger, Life};
@@ -14,7 +14,7 @@ use crate::violation::{Loss, Violation};
 
 /// The events of a soft or non real-time channel, or of a hard real-time one, in numbers.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
-pub struct Tally {
+pub struct Totals {
     /// Events that the publisher's middleware took.
     pub published: usize,
     /// Events that it refused.
@@ -41,7 +41,7 @@ pub struct Verdict {
     /// How soft real-time events competed.
     pub order: Order,
     /// The channels in numbers, in the order of the cluster.
-    pub tallies: Vec<Tally>,
+    pub totals: Vec<Totals>,
     /// What was not as promised.
     pub violations: Vec<Violation>,
 }
@@ -67,11 +67,11 @@ impl Verdict {
             violations.push(Violation::Invented { count: ledger.unknown_events });
         }
         let books = Books { journal, ledger: &ledger, slots: &slots };
-        let tallies = ledger.channels.iter().map(|account| books.tally(account, &mut violations)).collect();
-        Self { ledger, slots, order, tallies, violations }
+        let totals = ledger.channels.iter().map(|account| books.totals(account, &mut violations)).collect();
+        Self { ledger, slots, order, totals, violations }
     }
 
-    /// Was everything as promised?
+    /// Returns whether everything was as promised.
     pub fn is_passed(&self) -> bool {
         self.violations.is_empty()
     }
@@ -103,31 +103,31 @@ struct Books<'j> {
 }
 
 impl Books<'_> {
-    fn tally(&self, account: &Account, violations: &mut Vec<Violation>) -> Tally {
+    fn totals(&self, account: &Account, violations: &mut Vec<Violation>) -> Totals {
         let lives = || account.events.values();
         let published = lives().filter(|life| life.taken).count();
-        let mut tally = Tally {
+        let mut totals = Totals {
             published,
             refused: account.events.len() - published,
             sent: lives().filter(|life| life.sent_at.is_some()).count(),
-            ..Tally::default()
+            ..Totals::default()
         };
         if account.gaps() > 0 {
             violations.push(Violation::RecordsLost { etag: account.channel.etag, count: account.gaps() });
         }
-        self.check_refused(account.channel, tally.refused, violations);
+        self.check_refused(account.channel, totals.refused, violations);
         match account.channel.class {
-            Class::Hard => self.tally_hard(account, &mut tally, violations),
-            Class::Soft { .. } => {
-                self.tally_soft(account, &mut tally, violations);
+            Promise::Hard => self.total_hard(account, &mut totals, violations),
+            Promise::Soft { .. } => {
+                self.total_soft(account, &mut totals, violations);
                 self.check_deliveries(account, violations);
             }
-            Class::NonRealTime => {
-                self.tally_non_real_time(account, &mut tally, violations);
+            Promise::NonRealTime => {
+                self.total_non_real_time(account, &mut totals, violations);
                 self.check_deliveries(account, violations);
             }
         }
-        tally
+        totals
     }
 
     fn check_refused(&self, channel: &Channel, refused: usize, violations: &mut Vec<Violation>) {
@@ -139,7 +139,7 @@ impl Books<'_> {
     }
 
     /// Slots are judged one by one elsewhere; what is left is the settling time.
-    fn tally_hard(&self, account: &Account, tally: &mut Tally, violations: &mut Vec<Violation>) {
+    fn total_hard(&self, account: &Account, totals: &mut Totals, violations: &mut Vec<Violation>) {
         let channel = account.channel;
         let settled = |life: &&Life| self.slots.settled_at.is_some_and(|at| life.published_at > at);
         let period = self.journal.cluster.calendar.slots().iter().find(|slot| slot.etag == channel.etag);
@@ -148,11 +148,14 @@ impl Books<'_> {
         });
         for life in account.events.values() {
             let arrived = channel.subscribers.iter().all(|it| life.deliveries_to(*it).next().is_some());
-            match () {
-                () if arrived => {}
-                () if life.published_at > late => tally.under_way += 1,
-                () if settled(&life) => tally.missed += 1,
-                () => tally.settling += 1,
+            if arrived {
+                continue;
+            } else if life.published_at > late {
+                totals.under_way += 1;
+            } else if settled(&life) {
+                totals.missed += 1;
+            } else {
+                totals.settling += 1;
             }
         }
         let told = |kind| self.ledger.count(channel.publisher, channel.etag, kind);
@@ -160,19 +163,19 @@ impl Books<'_> {
             + told(ExceptionKind::SlotSkipped)
             + told(ExceptionKind::OmissionDegreeExceeded);
         // At each end of the settling time an event may be replaced by the next one before its slot comes.
-        if tally.settling > reported + 2 {
-            let (etag, node, lost) = (channel.etag, channel.publisher, tally.settling);
+        if totals.settling > reported + 2 {
+            let (etag, node, lost) = (channel.etag, channel.publisher, totals.settling);
             violations.push(Violation::Unreported { etag, node, what: Loss::Settling, lost, reported });
         }
     }
 
-    fn tally_soft(&self, account: &Account, tally: &mut Tally, violations: &mut Vec<Violation>) {
+    fn total_soft(&self, account: &Account, totals: &mut Totals, violations: &mut Vec<Violation>) {
         let (end, tolerance) = (self.journal.end, Span::from(TOLERANCE));
         let lives = || account.events.values().filter(|life| life.taken);
         let over = |at: Option<VirtualInstant>, by| at.is_some_and(|at| by > tolerance.after(at));
         let unsent = |life: &&Life| life.sent_at.is_none();
-        tally.expired = lives().filter(unsent).filter(|life| over(life.expires_at, end)).count();
-        tally.under_way = lives().filter(unsent).count() - tally.expired;
+        totals.expired = lives().filter(unsent).filter(|life| over(life.expires_at, end)).count();
+        totals.under_way = lives().filter(unsent).count() - totals.expired;
         let channel = account.channel;
         let told = |kind| self.ledger.count(channel.publisher, channel.etag, kind);
         let check = |what, lost: core::ops::RangeInclusive<usize>, reported, violations: &mut Vec<_>| {
@@ -181,8 +184,8 @@ impl Books<'_> {
                 violations.push(Violation::Unreported { etag, node, what, lost, reported });
             }
         };
-        let possibly = tally.expired + tally.under_way;
-        check(Loss::Expired, tally.expired..=possibly, told(ExceptionKind::ValidityExpired), violations);
+        let possibly = totals.expired + totals.under_way;
+        check(Loss::Expired, totals.expired..=possibly, told(ExceptionKind::ValidityExpired), violations);
         // Who is late by less than the tolerance may count either way.
         let late = |slack: Span| {
             let late = |life: &&Life| {
@@ -191,17 +194,17 @@ impl Books<'_> {
             };
             lives().filter(late).count()
         };
-        tally.missed = told(ExceptionKind::MissedDeadline);
-        check(Loss::Late, late(tolerance)..=late(-tolerance), tally.missed, violations);
+        totals.missed = told(ExceptionKind::MissedDeadline);
+        check(Loss::Late, late(tolerance)..=late(-tolerance), totals.missed, violations);
     }
 
     /// Non real-time events of a channel are sent in the order in which they were published.
-    fn tally_non_real_time(&self, account: &Account, tally: &mut Tally, violations: &mut Vec<Violation>) {
+    fn total_non_real_time(&self, account: &Account, totals: &mut Totals, violations: &mut Vec<Violation>) {
         let taken = || account.events.iter().filter(|(_, life)| life.taken);
         let last_sent = taken().filter(|(_, life)| life.sent_at.is_some()).map(|(number, _)| *number).max();
         let unsent = || taken().filter(|(_, life)| life.sent_at.is_none()).map(|(number, _)| *number);
         let overtaken = unsent().filter(|number| last_sent.is_some_and(|last| *number < last)).count();
-        tally.under_way = unsent().count() - overtaken;
+        totals.under_way = unsent().count() - overtaken;
         if overtaken > 0 {
             let (etag, node) = (account.channel.etag, account.channel.publisher);
             let what = Loss::Overtaken;

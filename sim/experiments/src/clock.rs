@@ -8,7 +8,7 @@
 //! reads it up to 250 ns late, which is no error of the clock.
 
 use crate::nodes::{EMPTY_CALENDAR, hardware_filters};
-use crate::output::{self, Results, Verdict};
+use crate::output::{self, Conclusion, Results};
 use crate::random::Random;
 use anyhow::{anyhow, ensure};
 use clap::Args;
@@ -93,7 +93,7 @@ struct Report<'o> {
 }
 
 /// Does what `experiment clock` is to do.
-pub(crate) fn run(options: &Options) -> anyhow::Result<Verdict> {
+pub(crate) fn run(options: &Options) -> anyhow::Result<Conclusion> {
     let results = Results::open(options.json.as_deref())?;
     let progress = output::progress(options.seconds * options.load.len() as u64, "virtual seconds");
     let at_load = |load: &u8| Measurement::new(options, *load)?.run(options, &progress);
@@ -103,8 +103,8 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<Verdict> {
     results.show(&report)?;
     let exceeded: u64 = report.loads.iter().map(|precision| precision.exceeded).sum();
     Ok(match exceeded {
-        0 => Verdict::Holds,
-        exceeded => Verdict::Fails(format!("the bound was exceeded in {exceeded} samples")),
+        0 => Conclusion::Holds,
+        exceeded => Conclusion::Fails(format!("the bound was exceeded in {exceeded} samples")),
     })
 }
 

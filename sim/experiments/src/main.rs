@@ -51,8 +51,8 @@ fn main() -> ExitCode {
         Experiment::Scale(options) => scale::run(options),
     };
     match result {
-        Ok(output::Verdict::Holds) => ExitCode::SUCCESS,
-        Ok(output::Verdict::Fails(reason)) => {
+        Ok(output::Conclusion::Holds) => ExitCode::SUCCESS,
+        Ok(output::Conclusion::Fails(reason)) => {
             eprintln!("failed: {reason}");
             ExitCode::FAILURE
         }

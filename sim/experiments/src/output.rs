@@ -9,7 +9,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 /// Whether the promise holds that the experiment is about.
-pub(crate) enum Verdict {
+pub(crate) enum Conclusion {
     Holds,
     /// It does not, for this reason.
     Fails(String),

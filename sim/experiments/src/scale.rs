@@ -5,7 +5,7 @@
 //! fifths of the bus; non real-time events the rest, for every node always has one to send.
 
 use crate::nodes::hardware_filters;
-use crate::output::{self, Results, Verdict};
+use crate::output::{self, Conclusion, Results};
 use crate::random::Random;
 use anyhow::{Context as _, anyhow};
 use clap::{Args, ValueEnum};
@@ -87,7 +87,7 @@ struct Frames {
 }
 
 /// Does what `experiment scale` is to do.
-pub(crate) fn run(options: &Options) -> anyhow::Result<Verdict> {
+pub(crate) fn run(options: &Options) -> anyhow::Result<Conclusion> {
     let results = Results::open(options.json.as_deref())?;
     let fetched = Rc::new(Cell::new(0));
     let report = match options.services {
@@ -97,8 +97,10 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<Verdict> {
     results.show(&report)?;
     let ratio = report.virtual_seconds_per_processor_second;
     Ok(match options.at_least.filter(|least| ratio < *least) {
-        Some(least) => Verdict::Fails(format!("{ratio:.1} virtual seconds a second are fewer than {least}")),
-        None => Verdict::Holds,
+        Some(least) => {
+            Conclusion::Fails(format!("{ratio:.1} virtual seconds a second are fewer than {least}"))
+        }
+        None => Conclusion::Holds,
     })
 }
 
@@ -159,9 +161,9 @@ fn cluster<S: Services + 'static>(
     let mut stations: Vec<StationId> = Vec::new();
     for number in 0..options.nodes {
         let drift = Rate::from_parts_per_billion(random.below(100_001) as i32 - 50_000);
-        let role = Role::of(number, options.nodes, calendar);
-        let filters = hardware_filters(&role.wanted(options.services))?;
-        let station = cluster.add(node(role, drift, calendar, fetched, services));
+        let duty = Duty::of(number, options.nodes, calendar);
+        let filters = hardware_filters(&duty.wanted(options.services))?;
+        let station = cluster.add(node(duty, drift, calendar, fetched, services));
         cluster.set_filters(station, filters);
         stations.push(station);
     }
@@ -195,14 +197,14 @@ fn calendar() -> anyhow::Result<Calendar> {
 }
 
 fn node<S: Services + 'static>(
-    role: Role,
+    duty: Duty,
     drift: Rate,
     calendar: &'static Calendar,
     fetched: &Rc<Cell<u64>>,
     services: MakeServices<S>,
 ) -> NodeConfig<S> {
     let fetched = Rc::clone(fetched);
-    let number = role.number;
+    let number = duty.number;
     NodeConfig {
         name: format!("node {number}"),
         tx_node: TxNode::new(number),
@@ -212,7 +214,7 @@ fn node<S: Services + 'static>(
         global_clock: GlobalClock::unsynchronised(),
         application: Box::new(move || {
             Box::new(Peer {
-                role: role.clone(),
+                duty: duty.clone(),
                 fetched: Rc::clone(&fetched),
                 publications: None,
                 subscriptions: Vec::new(),
@@ -243,7 +245,7 @@ fn all_services(number: u8, calendar: &'static Calendar, now: Instant) -> AllSer
 
 /// What a node publishes and subscribes to.
 #[derive(Clone)]
-struct Role {
+struct Duty {
     number: u8,
     /// The span between two soft real-time events.
     soft_period: Duration,
@@ -254,7 +256,7 @@ struct Role {
     others: Vec<(Channel<u64>, Wanted)>,
 }
 
-impl Role {
+impl Duty {
     /// It subscribes to soft channels of the three nodes behind it, to the bulk of the next, and to a hard
     /// channel.
     fn of(number: u8, nodes: u8, calendar: &Calendar) -> Self {
@@ -317,7 +319,7 @@ fn subject(etag: Etag) -> Subject {
 
 /// The application.
 struct Peer {
-    role: Role,
+    duty: Duty,
     /// Events that all nodes fetched.
     fetched: Rc<Cell<u64>>,
     publications: Option<Publications>,
@@ -333,24 +335,24 @@ struct Publications {
 
 impl<S: Services> Application<S> for Peer {
     fn start(&mut self, node: &mut Access<'_, S>) -> Instant {
-        let role = &self.role;
+        let duty = &self.duty;
         self.publications = Some(Publications {
-            hard: role.own_hard.map(|channel| node.announce(&channel).expect("it is in the calendar")),
-            soft: node.announce(&role.own_soft).expect("there is room"),
-            bulk: node.announce(&role.own_bulk).expect("there is room"),
+            hard: duty.own_hard.map(|channel| node.announce(&channel).expect("it is in the calendar")),
+            soft: node.announce(&duty.own_soft).expect("there is room"),
+            bulk: node.announce(&duty.own_bulk).expect("there is room"),
         });
         let fifo = Policy::Fifo(Depth::new(8).expect("not zero"));
         let subscribe = |(channel, _): &(Channel<u64>, Wanted)| {
             node.subscribe(channel, Filter::ALL, fifo).expect("there is room")
         };
-        self.subscriptions = role.others.iter().map(subscribe).collect();
+        self.subscriptions = duty.others.iter().map(subscribe).collect();
         node.now
     }
 
     fn wake(&mut self, node: &mut Access<'_, S>) -> Instant {
         self.wakes += 1;
         let Some(publications) = &self.publications else { return Instant::FAR_FUTURE };
-        let event = Event::new(self.wakes << 8 | u64::from(self.role.number));
+        let event = Event::new(self.wakes << 8 | u64::from(self.duty.number));
         if let Some(hard) = &publications.hard {
             // Refused or overwritten only while the clocks are not synchronised.
             let _ = node.publish(hard, &event);
@@ -360,7 +362,7 @@ impl<S: Services> Application<S> for Peer {
             let _ = node.publish(&publications.soft, &event);
         }
         while node.half().waiting() < KEPT_WAITING && node.publish(&publications.bulk, &event).is_ok() {}
-        node.now + Duration::from_ticks(self.role.soft_period.as_ticks() / 2)
+        node.now + Duration::from_ticks(self.duty.soft_period.as_ticks() / 2)
     }
 
     fn notified(&mut self, node: &mut Access<'_, S>) {

@@ -3,7 +3,7 @@
 use super::Bus;
 use crate::bits::{ERROR_DELIMITER_BITS, INTERMISSION_BITS, SUSPEND_BITS};
 use crate::confinement::{ErrorLevel, ErrorState};
-use crate::course::{Course, Disturbance, SenderCounts, Step};
+use crate::course::{Course, Disturbance, Milestone, SenderCounts};
 use crate::event::{ErrorCause, Event, EventKind, StationId};
 use crate::fault::Transmitter;
 use crate::frame::WireFrame;
@@ -70,18 +70,18 @@ impl Transmission {
         self.start + self.bit_rate.bits(offset)
     }
 
-    fn upcoming(&self) -> impl Iterator<Item = (u32, Step)> + '_ {
+    fn upcoming(&self) -> impl Iterator<Item = (u32, Milestone)> + '_ {
         self.course.steps.iter().skip(self.next_step).flatten().copied()
     }
 
     /// The next step, and when.
-    fn next_step(&self) -> Option<(VirtualInstant, Step)> {
+    fn next_step(&self) -> Option<(VirtualInstant, Milestone)> {
         self.upcoming().next().map(|(offset, step)| (self.instant(offset), step))
     }
 
     /// The next step that stations hear of.
     pub(super) fn next_event(&self) -> VirtualInstant {
-        let step = self.upcoming().find(|(_, step)| *step != Step::Disturb);
+        let step = self.upcoming().find(|(_, step)| *step != Milestone::Disturb);
         step.map_or(FAR_FUTURE, |(offset, _)| self.instant(offset))
     }
 
@@ -107,10 +107,10 @@ impl Bus {
             if let Some((_, step)) = transmission.next_step() {
                 transmission.next_step += 1;
                 match step {
-                    Step::Accept => self.accept(at, &transmission),
-                    Step::Disturb => self.disturb(at, &transmission),
-                    Step::Complete => self.complete(at, &transmission),
-                    Step::Fail => self.fail(at, &transmission),
+                    Milestone::Accept => self.accept(at, &transmission),
+                    Milestone::Disturb => self.disturb(at, &transmission),
+                    Milestone::Complete => self.complete(at, &transmission),
+                    Milestone::Fail => self.fail(at, &transmission),
                 }
             }
             if transmission.upcoming().next().is_some() {

@@ -94,7 +94,7 @@ pub enum TraceKind {
     Connection {
         /// Which.
         station: StationId,
-        /// Is it connected now?
+        /// Whether it is connected now.
         connected: bool,
     },
     /// A station's controller was reset.

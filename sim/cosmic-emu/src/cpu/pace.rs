@@ -87,7 +87,7 @@ impl Pace {
         self.hits.take()
     }
 
-    /// The core reached an instruction: may it be executed?
+    /// The core reached an instruction. Returns whether it may be executed.
     #[inline]
     pub(crate) fn reach(&self, pc: u32) -> bool {
         self.pc.set(pc);
@@ -105,7 +105,7 @@ impl Pace {
         self.cycle.set(self.cycle.get() + cycles);
     }
 
-    /// Was the instruction that was executed last a taken branch?
+    /// Returns whether the instruction that was executed last was a taken branch.
     #[inline]
     pub(crate) fn branch(&self, is_taken: bool) {
         self.cycle.set(self.cycle.get() + u64::from(is_taken) * REFILL);

@@ -150,7 +150,7 @@ impl System {
         self.update_limit();
     }
 
-    /// Must the node stop because others have to act first?
+    /// Returns whether the node must stop because others have to act first.
     pub(crate) fn must_stop(&self) -> bool {
         self.can.waits_for_bus() || self.reset_requested
     }

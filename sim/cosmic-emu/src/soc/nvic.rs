@@ -59,7 +59,7 @@ impl Nvic {
         }
     }
 
-    /// Is anything pending that is enabled, masked or not?
+    /// Returns whether anything is pending that is enabled, masked or not.
     pub(crate) const fn any_pending(&self) -> bool {
         self.pending & self.enabled != 0
     }

@@ -115,7 +115,7 @@ impl Rcc {
         }
     }
 
-    /// Is the peripheral at this address held in reset?
+    /// Returns whether the peripheral at this address is held in reset.
     pub(crate) fn is_in_reset(&self, address: u32) -> bool {
         match gate(address) {
             Some((bus, bit)) => self.words[register::AHB1RSTR + bus] >> bit & 1 != 0,

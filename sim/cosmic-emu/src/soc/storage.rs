@@ -30,7 +30,7 @@ impl Storage {
         Self { values: BTreeMap::new() }
     }
 
-    /// Is the register kept?
+    /// Returns whether the register is kept.
     pub(crate) fn keeps(address: u32) -> bool {
         address == DBGMCU_IDCODE.0 || reset_value(address).is_some()
     }

@@ -80,7 +80,7 @@ impl SystemControl {
         (self.systick.runs() && self.systick.control & SysTick::TICKINT != 0).then_some(self.systick.zero_at)
     }
 
-    /// Time has passed: is the SysTick exception to be pended?
+    /// Time has passed. Returns whether the SysTick exception is to be pended.
     pub(crate) fn advance(&mut self, now: u64) -> bool {
         self.systick.advance(now)
     }

@@ -17,7 +17,7 @@ use cosmic_core::time::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant, Rate};
 use cosmic_demo::bus_log::BusLog;
 use cosmic_demo::clock::NodeClock;
-use cosmic_demo::example::{self, Class, EXAMPLE};
+use cosmic_demo::example::{self, EXAMPLE, Promise};
 use cosmic_demo::journal::Journal;
 use cosmic_demo::load::BackgroundLog;
 use cosmic_demo::record::{Record, RecordKind};
@@ -100,7 +100,7 @@ impl Application<ClockService> for Node {
 fn declared(channel: &example::Channel) -> Channel<Content> {
     let subject = Subject::new(u64::from(channel.etag.get())).unwrap();
     match channel.class {
-        Class::Hard => {
+        Promise::Hard => {
             let slot = EXAMPLE.calendar.slots().iter().find(|slot| slot.etag == channel.etag).unwrap();
             let attributes = HardAttributes {
                 period: slot.period,
@@ -109,10 +109,10 @@ fn declared(channel: &example::Channel) -> Channel<Content> {
             };
             Channel::hard(subject, channel.etag, attributes)
         }
-        Class::Soft { deadline, validity } => {
+        Promise::Soft { deadline, validity } => {
             Channel::soft(subject, SoftAttributes { deadline, validity }).with_etag(channel.etag)
         }
-        Class::NonRealTime => {
+        Promise::NonRealTime => {
             let attributes = NonRealTimeAttributes { importance: Importance::LEAST, validity: None };
             Channel::non_real_time(subject, attributes).with_etag(channel.etag)
         }

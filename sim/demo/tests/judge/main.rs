@@ -65,7 +65,7 @@ fn a_quiet_run_passes_and_every_slot_is_seen() {
     let off = verdict.slots.deviation.range().unwrap();
     assert!(off.max.as_micros() < 10.0 && off.min.as_micros() > -10.0, "{text}");
     // 1 ms periods in a second, from 8 ms on.
-    let suspension = &verdict.tallies[3];
+    let suspension = &verdict.totals[3];
     assert!((985..=993).contains(&suspension.published), "{}", suspension.published);
     assert_eq!((suspension.missed, suspension.expired), (0, 0));
 }

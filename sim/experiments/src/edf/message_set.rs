@@ -63,7 +63,7 @@ impl Shape {
 
 /// A periodic message.
 #[derive(Clone, Debug)]
-pub(super) struct Message {
+pub(super) struct PeriodicMessage {
     pub(super) node: TxNode,
     etag: Etag,
     len: usize,
@@ -82,7 +82,7 @@ pub(super) struct Message {
 
 /// Messages of a node each, at a load that can be chosen.
 pub(super) struct MessageSet {
-    pub(super) messages: Vec<Message>,
+    pub(super) messages: Vec<PeriodicMessage>,
     /// The share of the bus that they take as drawn.
     drawn: f64,
 }
@@ -108,7 +108,7 @@ impl MessageSet {
                      exist; choose a smaller --longest-period"
                 );
             }
-            let message = Message::draw(shape, messages.len() as u16, &mut random);
+            let message = PeriodicMessage::draw(shape, messages.len() as u16, &mut random);
             drawn += message.mean_bits * NANOSECONDS_A_BIT / message.period;
             messages.push(message);
         }
@@ -123,7 +123,7 @@ impl MessageSet {
     /// The timing of each message when all together take this share of the bus.
     pub(super) fn timings(&self, load: f64) -> Vec<Timing> {
         let stretch = self.drawn / load;
-        let timing = |message: &Message| {
+        let timing = |message: &PeriodicMessage| {
             let period = message.period * stretch;
             Timing {
                 period: Duration::from_ticks(period as u64),
@@ -135,7 +135,7 @@ impl MessageSet {
     }
 }
 
-impl Message {
+impl PeriodicMessage {
     fn draw(shape: &Shape, number: u16, random: &mut Random) -> Self {
         let (shortest, longest) = (shape.shortest_period.ln(), shape.longest_period.ln());
         let period = (shortest + (longest - shortest) * random.share()).exp() * 1e6;

@@ -13,7 +13,7 @@ mod picture;
 mod report;
 mod simulation;
 
-use crate::output::{self, Results, Sink, Verdict};
+use crate::output::{self, Conclusion, Results, Sink};
 use anyhow::ensure;
 use clap::Args;
 use cosmic_commands::number::within;
@@ -73,7 +73,7 @@ const POLICIES: [Policy; 4] = [
 ];
 
 /// Does what `experiment edf` is to do.
-pub(crate) fn run(options: &Options) -> anyhow::Result<Verdict> {
+pub(crate) fn run(options: &Options) -> anyhow::Result<Conclusion> {
     options.shape.check()?;
     ensure!(
         (0.01..=1_000.0).contains(&options.seconds),

@@ -5,7 +5,7 @@ use super::message_set::Timing;
 /// A run at one load.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub(super) struct Run {
-    /// Were all deadlines met?
+    /// Whether all deadlines were met.
     pub(super) all_met: bool,
     /// The share of the bus that the messages took, by the lengths that their frames had.
     pub(super) utilisation: f64,

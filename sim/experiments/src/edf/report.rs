@@ -1,7 +1,7 @@
 //! What the sets have in common: means and spreads, as text and as JSON.
 
 use super::{Options, POLICIES, Policy};
-use crate::output::Verdict;
+use crate::output::Conclusion;
 use serde::Serialize;
 use std::fmt;
 
@@ -82,7 +82,7 @@ impl<'o> Report<'o> {
     }
 
     /// The mapping is worth its effort if it breaks later than fixed priorities do.
-    pub(super) fn verdict(&self) -> Verdict {
+    pub(super) fn verdict(&self) -> Conclusion {
         let mean = |wanted: fn(&Policy) -> bool| {
             let found = POLICIES.iter().zip(&self.policies).find(|(policy, _)| wanted(policy));
             found.map_or(0.0, |(_, summary)| summary.mean)
@@ -90,9 +90,9 @@ impl<'o> Report<'o> {
         let mapped = mean(|policy| matches!(policy, Policy::Mapped { .. }));
         let fixed = mean(|policy| *policy == Policy::DeadlineMonotonic);
         if mapped > fixed {
-            return Verdict::Holds;
+            return Conclusion::Holds;
         }
-        Verdict::Fails(format!(
+        Conclusion::Fails(format!(
             "on average EDF breaks at {:.1} %, not later than fixed priorities at {:.1} %",
             mapped * 100.0,
             fixed * 100.0

@@ -9,7 +9,7 @@ const SP: Reg = 13;
 const LR: u16 = 14;
 const PC: u16 = 15;
 
-/// Does an instruction that starts with this halfword have a second one?
+/// Returns whether an instruction that starts with this halfword has a second one.
 pub(super) const fn is_wide(first: u16) -> bool {
     first >= 0xE800
 }

@@ -53,7 +53,7 @@ pub(super) enum CarryOut {
     Set,
 }
 
-/// Does an instruction set the flags?
+/// Whether an instruction sets the flags.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Flags {
     Keep,
@@ -120,16 +120,16 @@ pub(super) enum Binary {
     Qdadd,
     Qdsub,
     Select,
-    /// The halves of the factors: top?
+    /// The halves of the factors; true is the top one.
     MultiplyHalves(bool, bool),
-    /// A word and a half of the second factor: top?
+    /// A word and a half of the second factor; true is the top one.
     MultiplyWordHalf(bool),
-    /// Two products of halves, added or (true) subtracted; second factor swapped?
+    /// Two products of halves, added or (true) subtracted; with the second factor swapped, or not.
     MultiplyDual {
         subtract: bool,
         swap: bool,
     },
-    /// The high word of the product; rounded?
+    /// The high word of the product, rounded (true) or not.
     MultiplyHigh(bool),
     SumOfDifferences,
     /// Pack halves: of a shifted second operand, the top (true) or bottom.

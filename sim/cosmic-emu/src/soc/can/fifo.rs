@@ -10,19 +10,19 @@ const OVERRUN: u32 = 1 << 4;
 const RELEASE: u32 = 1 << 5;
 
 /// A message as the FIFO's mailbox registers show it: RIR, RDTR, RDLR, RDHR.
-pub(super) type Message = [u32; 4];
+pub(super) type ReceivedWords = [u32; 4];
 
 /// One receive FIFO.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Fifo {
-    messages: VecDeque<Message>,
+    messages: VecDeque<ReceivedWords>,
     full: bool,
     overrun: bool,
 }
 
 impl Fifo {
     /// A message arrives. `locked` (MCR.RFLM): when full, the new message is lost, else the last one.
-    pub(super) fn push(&mut self, message: Message, locked: bool) {
+    pub(super) fn push(&mut self, message: ReceivedWords, locked: bool) {
         if self.messages.len() < DEPTH {
             self.messages.push_back(message);
             self.full = self.messages.len() == DEPTH;

@@ -50,7 +50,7 @@ pub(super) struct Transmit {
 }
 
 impl Transmit {
-    /// Is a mailbox the transmit interrupt's cause?
+    /// Returns whether a mailbox is the transmit interrupt's cause.
     pub(super) fn interrupt(&self) -> bool {
         self.mailboxes.iter().any(|mailbox| mailbox.status & tsr::RQCP != 0)
     }
