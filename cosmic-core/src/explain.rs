@@ -7,10 +7,11 @@
 use core::error::Error;
 use core::fmt;
 
-use crate::broker::{BindingFull, Conflict};
+use crate::broker::Conflict;
 use crate::calendar::CalendarError;
 use crate::can::filter_banks::FilterBanksError;
 use crate::can::{Etag, Frame, Id, Payload, Priority, TxNode};
+use crate::client::BindingFull;
 use crate::event_layer::{AnnounceError, NoRoom, PublishError, SubscribeError};
 use crate::event_layer::{Exception, ExceptionKind};
 use crate::membership::DeclarationsFull;

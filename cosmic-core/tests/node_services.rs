@@ -1,9 +1,10 @@
 //! A whole node with all services and a broker, frame by frame: what crosses from the event half into the
 //! services, and what does not.
 
-use cosmic_core::broker::{Broker, BrokerEvent, BrokerTiming, Nodes, OnDuplicate, Role, Subjects};
+use cosmic_core::broker::{Broker, BrokerEvent, BrokerTiming, Nodes, Role, Subjects};
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Outcome, Payload, TxNode};
+use cosmic_core::client::OnDuplicate;
 use cosmic_core::event_layer::{Channel, ExceptionKind, Filter, HardAttributes, Policy, SoftAttributes};
 use cosmic_core::network::hard::HrtBuffers;
 use cosmic_core::services::{NodeConfig, NodeServices, Services};

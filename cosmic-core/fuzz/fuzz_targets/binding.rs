@@ -1,8 +1,9 @@
 //! The binding client on any frames and calls.
 #![no_main]
 
-use cosmic_core::broker::{Binding, BindingEvent, BindingTiming, Output};
 use cosmic_core::can::Etag;
+use cosmic_core::client::{Binding, BindingEvent, BindingTiming};
+use cosmic_core::protocol::Output;
 use cosmic_core_fuzz::{Script, Step, check_wakeup, drain, subject, tx_node};
 use libfuzzer_sys::fuzz_target;
 
@@ -18,6 +19,9 @@ fuzz_target!(|bytes: &[u8]| {
             Step::Call(20..=24, of) => client.forget(subject(of)),
             Step::Call(25..=29, of) => {
                 _ = Etag::new(0x3F00 | u16::from(of)).map(|etag| client.assume(subject(of), etag));
+            }
+            Step::Call(30..=34, of) => {
+                _ = Etag::new(0x3F00 | u16::from(of)).map(|etag| client.fix(subject(of), etag));
             }
             Step::Call(..) | Step::Pause => {}
         }

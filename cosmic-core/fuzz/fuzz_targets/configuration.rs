@@ -1,7 +1,8 @@
 //! The configuration client on any frames.
 #![no_main]
 
-use cosmic_core::broker::{Configuration, ConfigurationEvent, ConfigurationTiming, Output};
+use cosmic_core::client::{Configuration, ConfigurationEvent, ConfigurationTiming};
+use cosmic_core::protocol::Output;
 use cosmic_core_fuzz::{Script, Step, check_wakeup, drain, tx_node, uid};
 use libfuzzer_sys::fuzz_target;
 

@@ -12,7 +12,7 @@
 //! behind, and a lost frame costs at most one period. None of it needs a broker.
 //!
 //! # Contract
-//! As in [`crate::broker`]: feed received frames to `on_frame`, call `poll` until it returns `None` after
+//! As in [`crate::client`]: feed received frames to `on_frame`, call `poll` until it returns `None` after
 //! that and when `next_wakeup` is due. `now` is local time and never goes back.
 
 mod declarations;

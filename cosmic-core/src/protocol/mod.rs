@@ -6,9 +6,9 @@
 //!
 //! | messages | serve | served by |
 //! |---|---|---|
-//! | [`ConfigurationRequest`], [`ConfigurationReply`], [`ConfigurationRefusal`], [`Release`] | long node UID to TxNode | `broker` |
-//! | [`GetEtag`], [`SupplyEtag`] | subject to etag | `broker` |
-//! | [`NodeIdentity`], [`Probe`], [`BrokerStatus`] | detection of duplicates, rebuilding a broker's table, fail-over | `broker` |
+//! | [`ConfigurationRequest`], [`ConfigurationReply`], [`ConfigurationRefusal`], [`Release`] | long node UID to TxNode | `client`, `broker` |
+//! | [`GetEtag`], [`SupplyEtag`] | subject to etag | `client`, `broker` |
+//! | [`NodeIdentity`], [`Probe`], [`BrokerStatus`] | detection of duplicates, rebuilding a broker's table, fail-over | `client`, `broker` |
 //! | [`Interest`], [`NodeStatus`] | who wants what, who is alive | `membership` |
 //!
 //! Configuration and binding have the layout of FAMOUSO's CAN configuration and etag binding protocols,
@@ -24,8 +24,10 @@ use crate::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 
 mod binding;
 mod configuration;
+mod halves;
 mod identity;
 mod interest;
+mod output;
 mod status;
 mod sync;
 
@@ -33,8 +35,10 @@ pub use binding::{Answer, GetEtag, Half, SupplyEtag};
 pub use configuration::{
     ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, Prefix, Release, Stage,
 };
+pub(crate) use halves::{Halves, Supply};
 pub use identity::{BrokerStatus, NodeIdentity, Probe};
 pub use interest::{Class, Interest, LayoutHash, Lease, Side};
+pub use output::Output;
 pub use status::{NodeState, NodeStatus, Uptime};
 pub use sync::{FollowUp, Rank, SyncMessage, SyncSequence};
 

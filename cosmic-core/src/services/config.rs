@@ -1,8 +1,9 @@
 //! What a node with all services is told at its start, and what it tells.
 
-use crate::broker::{BindingTiming, BrokerEvent, ConfigurationEvent, ConfigurationTiming, OnDuplicate};
+use crate::broker::BrokerEvent;
 use crate::calendar::Calendar;
 use crate::can::TxNode;
+use crate::client::{BindingTiming, ConfigurationEvent, ConfigurationTiming, OnDuplicate};
 use crate::membership::{InterestEvent, MemberEvent};
 use crate::protocol::Lease;
 use crate::time::Duration;
@@ -20,7 +21,7 @@ pub struct NodeConfig {
     /// [holds](OnDuplicate::Hold) its TxNode if the calendar names that as a publisher, for nobody else can
     /// send in these slots; any other yields.
     pub on_duplicate: Option<OnDuplicate>,
-    /// Anything that differs between nodes and starts; see [`Configuration::new`](crate::broker::Configuration::new).
+    /// Anything that differs between nodes and starts; see [`Configuration::new`](crate::client::Configuration::new).
     pub noise: u64,
     /// Of the clock synchronisation.
     pub clock: SyncConfig,

@@ -1,7 +1,8 @@
 //! What a node hosts for others: a broker, or nothing.
 
-use crate::broker::{Broker, BrokerEvent, Output};
+use crate::broker::{Broker, BrokerEvent};
 use crate::can::{Frame, Id, TxNode};
+use crate::protocol::Output;
 use crate::time::Instant;
 
 /// A broker that a node hosts, or `()`.

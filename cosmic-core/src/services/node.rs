@@ -1,12 +1,12 @@
 //! All services together, as a node of a cluster that configures itself needs them.
 
 use super::{Declaration, Hosted, News, NodeConfig, NodeView, Request, Services, TooMany};
-use crate::broker::{Binding, BindingEvent, Configuration, ConfigurationEvent, Output};
 use crate::calendar::Calendar;
 use crate::can::{Etag, Frame, Id, TxNode};
+use crate::client::{Binding, BindingEvent, Configuration, ConfigurationEvent};
 use crate::event_layer::ExceptionKind;
 use crate::membership::{Declarations, Health, Interests, MemberEvent, Members, StatusReport};
-use crate::protocol::{Class, LayoutHash, NodeState, Side};
+use crate::protocol::{Class, LayoutHash, NodeState, Output, Side};
 use crate::ring::Ring;
 use crate::services::ClockService;
 use crate::time::sync::SyncConfigError;

@@ -1,7 +1,7 @@
 //! The clients alone, frame by frame.
 
-use cosmic_core::broker::*;
 use cosmic_core::can::{Etag, Frame, TxNode};
+use cosmic_core::client::*;
 use cosmic_core::protocol::*;
 use cosmic_core::time::{Duration, Instant};
 

@@ -8,6 +8,8 @@ use std::collections::VecDeque;
 
 use cosmic_core::broker::*;
 use cosmic_core::can::{Etag, Frame, Id, Payload, TxNode};
+use cosmic_core::client::*;
+use cosmic_core::protocol::Output;
 use cosmic_core::time::{Duration, Instant};
 use cosmic_core::{NodeUid, Subject};
 

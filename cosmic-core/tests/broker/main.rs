@@ -10,6 +10,7 @@ use std::collections::BTreeSet;
 
 use cosmic_core::broker::*;
 use cosmic_core::can::{Etag, TxNode};
+use cosmic_core::client::*;
 use cosmic_core::time::Duration;
 use ether::*;
 

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 
 use cosmic_core::broker::*;
 use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
+use cosmic_core::client::*;
 use cosmic_core::time::{Duration, Instant};
 use proptest::prelude::*;
 

@@ -2,9 +2,10 @@
 
 use cosmic_bus::cluster::{Access, Application, ClockErrors, Cluster, NodeConfig};
 use cosmic_bus::{Bus, Chance, FaultModel, StationId, VirtualInstant};
-use cosmic_core::broker::{Broker, BrokerTiming, ConfigurationEvent, Nodes, Role, Subjects};
+use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Role, Subjects};
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Etag, TxNode};
+use cosmic_core::client::ConfigurationEvent;
 use cosmic_core::event_layer::{
     Channel, Depth, Event, ExceptionKind, Filter, HardAttributes, Policy, Publication, PublishError,
     SoftAttributes, Subscription,

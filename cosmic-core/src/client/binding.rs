@@ -6,11 +6,9 @@
 //! subject to an etag of this node, the node drops the etag at once and asks for a new one. An etag that is
 //! fixed is not given up, whoever says what; the node is told.
 
-use super::Output;
-use super::halves::{Halves, Supply};
-use super::jitter::{Jitter, times};
 use crate::can::{Etag, Frame, TxNode};
-use crate::protocol::{Answer, GetEtag, Probe, SupplyEtag};
+use crate::jitter::{Jitter, times};
+use crate::protocol::{Answer, GetEtag, Halves, Output, Probe, Supply, SupplyEtag};
 use crate::time::{Duration, Instant};
 use crate::uid::Subject;
 
@@ -120,7 +118,7 @@ struct Asked {
     until: Instant,
 }
 
-/// The binding client of one node, for up to `N` subjects; its contract is that of [`crate::broker`].
+/// The binding client of one node, for up to `N` subjects; its contract is that of [`crate::client`].
 ///
 /// Every call takes O(`N`).
 #[derive(Clone, Debug)]

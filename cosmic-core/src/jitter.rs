@@ -5,15 +5,15 @@ use crate::time::Duration;
 /// A sequence that depends on its seed only (SplitMix64): nodes with different seeds go different ways,
 /// and a test can repeat them.
 #[derive(Clone, Debug)]
-pub(super) struct Jitter(u64);
+pub(crate) struct Jitter(u64);
 
 impl Jitter {
-    pub(super) const fn new(seed: u64) -> Self {
+    pub(crate) const fn new(seed: u64) -> Self {
         Self(seed)
     }
 
     /// A span that is less than `limit`, or zero.
-    pub(super) fn below(&mut self, limit: Duration) -> Duration {
+    pub(crate) fn below(&mut self, limit: Duration) -> Duration {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
@@ -23,13 +23,13 @@ impl Jitter {
     }
 
     /// A span from half of `mean` to one and a half of it.
-    pub(super) fn around(&mut self, mean: Duration) -> Duration {
+    pub(crate) fn around(&mut self, mean: Duration) -> Duration {
         Duration::from_ticks((mean.as_ticks() / 2).saturating_add(self.below(mean).as_ticks()))
     }
 }
 
 /// `span` a number of times, without an overflow: `fugit`'s own product would panic.
-pub(super) const fn times(span: Duration, factor: u64) -> Duration {
+pub(crate) const fn times(span: Duration, factor: u64) -> Duration {
     Duration::from_ticks(span.as_ticks().saturating_mul(factor))
 }
 

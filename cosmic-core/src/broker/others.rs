@@ -1,9 +1,8 @@
 //! Other brokers, and nodes whose bindings are those of another broker.
 
 use super::{Broker, Role, State, count};
-use crate::broker::halves::Supply;
 use crate::can::{Etag, TxNode};
-use crate::protocol::{Answer, BrokerStatus, ConfigurationReply};
+use crate::protocol::{Answer, BrokerStatus, ConfigurationReply, Supply};
 use crate::time::Instant;
 use crate::uid::Subject;
 

@@ -1,7 +1,7 @@
 //! What the active broker answers to the nodes.
 
+use super::session::Step;
 use super::{Broker, BrokerEvent, Role, count};
-use crate::broker::session::Step;
 use crate::can::Frame;
 use crate::can::TxNode;
 use crate::protocol::{Answer, ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, SupplyEtag};

@@ -1,36 +1,36 @@
 //! Joins the two frames of a binding.
 
+use super::{Answer, Half, SupplyEtag};
 use crate::can::TxNode;
-use crate::protocol::{Answer, Half, SupplyEtag};
 use crate::uid::Subject;
 
 /// First halves that wait for their second. When all places are taken, the oldest gives way: its answer
 /// is lost, and asked for again.
 #[derive(Clone, Debug)]
-pub(super) struct Halves {
+pub(crate) struct Halves {
     waiting: [Option<SupplyEtag>; Self::PLACES],
     oldest: usize,
 }
 
 /// A whole answer.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) struct Supply {
-    pub(super) sender: TxNode,
-    pub(super) requester: TxNode,
-    pub(super) subject: Subject,
-    pub(super) answer: Answer,
+pub(crate) struct Supply {
+    pub(crate) sender: TxNode,
+    pub(crate) requester: TxNode,
+    pub(crate) subject: Subject,
+    pub(crate) answer: Answer,
 }
 
 impl Halves {
     /// A sender's two halves follow each other in its queue, so only halves of different senders mix.
     const PLACES: usize = 4;
 
-    pub(super) const fn new() -> Self {
+    pub(crate) const fn new() -> Self {
         Self { waiting: [None; Self::PLACES], oldest: 0 }
     }
 
     /// The answer that `frame` completes. Constant time.
-    pub(super) fn join(&mut self, frame: SupplyEtag) -> Option<Supply> {
+    pub(crate) fn join(&mut self, frame: SupplyEtag) -> Option<Supply> {
         match frame.half() {
             Half::First => {
                 self.keep(frame);
