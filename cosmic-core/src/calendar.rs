@@ -155,11 +155,14 @@ pub struct Calendar {
     cycle: Duration,
     slots: &'static [Slot],
     digest: u32,
+    priority_step: Duration,
 }
 
 impl Calendar {
     /// The longest cycle.
     pub const LONGEST_CYCLE: Duration = Duration::from_secs(3600);
+    /// The longest Δt_p, so that the 249 priorities of soft real-time fit in 32 bits of nanoseconds.
+    pub const LONGEST_PRIORITY_STEP: Duration = Duration::from_millis(17);
 
     /// Checks the slots, at compile time where it is called in a constant. O(n²) in the number of slots.
     ///
@@ -181,7 +184,8 @@ impl Calendar {
             at += 1;
         }
         let digest = digest(&segment, cycle, slots);
-        Ok(Self { segment, cycle, slots, digest })
+        let priority_step = segment.bit_rate.longest_frame(Payload::MAX_LEN);
+        Ok(Self { segment, cycle, slots, digest, priority_step })
     }
 
     /// As [`Calendar::new`], for a constant: a calendar with an error does not compile.
@@ -202,9 +206,31 @@ impl Calendar {
         }
     }
 
+    /// The calendar of a segment with another Δt_p than one longest frame, for a constant: a step out of
+    /// range does not compile.
+    ///
+    /// The step does not count in the digest: it changes the order of soft real-time frames, and a node that
+    /// has another one is no danger to anybody's slot.
+    ///
+    /// # Panics
+    /// If the step is zero or longer than [`Calendar::LONGEST_PRIORITY_STEP`].
+    #[must_use]
+    pub const fn with_priority_step(self, step: Duration) -> Self {
+        assert!(
+            !step.is_zero() && step.as_ticks() <= Self::LONGEST_PRIORITY_STEP.as_ticks(),
+            "calendar: the priority step is zero or over 17 ms"
+        );
+        Self { priority_step: step, ..self }
+    }
+
     /// What holds for all slots.
     pub const fn segment(&self) -> &Segment {
         &self.segment
+    }
+
+    /// Δt_p: the span of deadlines that one priority of soft real-time stands for.
+    pub const fn priority_step(&self) -> Duration {
+        self.priority_step
     }
 
     /// After this span everything repeats.
@@ -217,7 +243,7 @@ impl Calendar {
         self.slots
     }
 
-    /// CRC-32 of everything that must be the same in all nodes. Travels in sync frames.
+    /// CRC-32 of everything in it that hard real-time depends on. Travels in sync frames.
     pub const fn digest(&self) -> u32 {
         self.digest
     }

@@ -114,6 +114,7 @@ mod explain;
 mod jitter;
 pub mod membership;
 pub mod network;
+pub mod plan;
 pub mod protocol;
 mod ring;
 pub mod services;

@@ -5,6 +5,9 @@
 //! timing of everything else beside it ([`analysis`]), checks the result again from the definitions
 //! ([`verify`]) and writes what the firmware and other tools need ([`output`]).
 //!
+//! A program's build script calls [`compile`]. The crate needs little for that: the command and all that only it
+//! needs is the feature `cli`, which is on by default.
+//!
 //! ```
 //! let source = cosmic_plan::document::Source::new("example.toml", cosmic_plan::cluster::EXAMPLE);
 //! let cluster = cosmic_plan::cluster::Cluster::read(&source).expect("the example is well formed");
@@ -15,8 +18,13 @@
 
 pub mod analysis;
 pub mod cluster;
+mod compile;
 pub mod document;
+pub mod needs;
+pub mod node_filters;
 pub mod output;
 pub mod plan;
 pub mod units;
 pub mod verify;
+
+pub use compile::{CompileError, compile, try_compile};

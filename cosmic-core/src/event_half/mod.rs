@@ -145,9 +145,9 @@ impl<
 > EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
 {
     /// A node in a segment with this calendar. Without a TxNode it publishes nothing; a service may give
-    /// it one. Δt_p is one longest frame.
+    /// it one. Δt_p is that of the [calendar](Calendar::priority_step).
     pub const fn new(tx_node: Option<TxNode>, calendar: &'static Calendar, services: S, hard: H) -> Self {
-        let map = PriorityMap::of(calendar.segment().bit_rate);
+        let map = PriorityMap::of_calendar(calendar);
         Self {
             calendar,
             own: Own::new(tx_node),

@@ -4,7 +4,7 @@
 //! reserved but not used costs nothing: other frames go there by arbitration. So in any window the
 //! calendar costs the frames whose loading falls into it; retransmissions are counted by the error model.
 
-use crate::plan::Plan;
+use crate::plan::found::Plan;
 
 /// The most hard real-time transmission that can be loaded in any window of a given length.
 #[derive(Clone, Default, Debug)]

@@ -10,7 +10,7 @@
 //! Numbers: `w(q) = E(w + C) + B + q C + Σ ceil((w + J + τ) / T) C` over the frames of higher priority,
 //! `R = max J + w(q) - q T + C`.
 
-use super::{Bus, Stream, UNBOUNDED, fixed_point};
+use super::bus::{Bus, Stream, UNBOUNDED, fixed_point};
 
 /// The priority level of a frame: who is above and who is below.
 #[derive(Clone, Copy, Debug)]

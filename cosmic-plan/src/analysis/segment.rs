@@ -13,13 +13,13 @@
 //! bound holds if the event has gone before the next comes. Configuration and binding send frames only
 //! while nodes join; their longest frame is counted as blocking.
 
+use super::bus::{Bus, Stream};
 use super::calendar_load::CalendarLoad;
 use super::fixed::Level;
 use super::frame::{arbitration_key, longest_frame_bits};
 use super::soft::{Rule, SoftBound, SoftBus, SoftStream};
-use super::{Bus, Stream};
 use crate::cluster::{Class, Cluster, Foreign};
-use crate::plan::Plan;
+use crate::plan::found::{Plan, PlannedSlot};
 use cosmic_core::can::{ERROR_RECOVERY_BITS, LONGEST_FRAME_BITS, Priority};
 use cosmic_core::time::Duration;
 
@@ -163,7 +163,7 @@ pub fn assess(cluster: &Cluster, plan: &Plan) -> Assessment {
     }
 }
 
-fn hard_proof(cluster: &Cluster, plan: &Plan, planned: &crate::plan::PlannedSlot) -> ChannelProof {
+fn hard_proof(cluster: &Cluster, plan: &Plan, planned: &PlannedSlot) -> ChannelProof {
     let segment = plan.segment();
     let (slot, times) = (&planned.slot, &planned.times);
     let frame = segment.bit_rate.longest_frame(usize::from(slot.len));

@@ -23,11 +23,11 @@
 //! jitter = 0                  # optional: 0
 //! ```
 
+use super::bus::{Bus, Stream};
 use super::calendar_load::CalendarLoad;
 use super::errors::ErrorModel;
 use super::fixed::Level;
 use super::frame::{arbitration_key, bit_times, longest_frame_bits};
-use super::{Bus, Stream};
 use crate::document::{At, FromNode, Kind, Log, Mismatch, Node, Problems, Source, Table};
 use crate::units;
 use serde::Serialize;

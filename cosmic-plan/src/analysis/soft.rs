@@ -28,7 +28,7 @@
 //! priority between two arbitrations. Where the first does not hold ([`SoftBus::slow_refill`]), a frame of
 //! lower priority may slip in behind every frame, which is added.
 
-use super::{Bus, Stream, UNBOUNDED, fixed_point};
+use super::bus::{Bus, Stream, UNBOUNDED, fixed_point};
 
 /// A soft real-time channel of one publisher.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

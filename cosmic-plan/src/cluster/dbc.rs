@@ -1,16 +1,20 @@
-//! Foreign frames out of a DBC file.
+//! Foreign frames out of a DBC file. Without the feature `dbc`, such a file is refused.
 
 use super::Foreign;
+#[cfg(feature = "dbc")]
 use can_dbc::{AttributeValue, Dbc, MessageId};
 use cosmic_core::time::Duration;
 use std::path::Path;
 
+#[cfg(feature = "dbc")]
 /// The attribute in which DBC files state the period of a message, in milliseconds.
 const CYCLE_TIME: &str = "GenMsgCycleTime";
 
+#[cfg(feature = "dbc")]
 /// The pseudo message in which DBC editors keep signals without a message.
 const NO_MESSAGE: &str = "VECTOR__INDEPENDENT_SIG_MSG";
 
+#[cfg(feature = "dbc")]
 /// The messages of a DBC file. Those without a period get `default_period`.
 ///
 /// # Errors
@@ -27,6 +31,7 @@ pub(super) fn read(path: &Path, default_period: Option<Duration>) -> Result<Vec<
     messages.map(|message| foreign(&dbc, message, default_period)).collect()
 }
 
+#[cfg(feature = "dbc")]
 fn foreign(
     dbc: &Dbc,
     message: &can_dbc::Message,
@@ -51,4 +56,10 @@ fn foreign(
     })?;
     let jitter = Duration::from_ticks(0);
     Ok(Foreign { name: message.name.clone(), id, extended, length, period, jitter, deadline: None })
+}
+
+#[cfg(not(feature = "dbc"))]
+pub(super) fn read(path: &Path, _: Option<Duration>) -> Result<Vec<Foreign>, (String, String)> {
+    let what = format!("{} cannot be read by this build of the planner", path.display());
+    Err((what, "add the feature `dbc` to the dependency on cosmic-plan".to_owned()))
 }

@@ -1,16 +1,18 @@
 //! What a cluster file may say.
 //!
 //! The structures here are the file's tables, field by field; the JSON schema for editors
-//! ([`schema`]) is made from them, so their documentation is the format's documentation. Their
+//! (`schema`) is made from them, so their documentation is the format's documentation. Their
 //! fields are optional where a mistake can leave them out; what must be there is marked `required`.
 
-use super::values::{BindingName, ClassName, Name, PositiveSpan, Rate, Span, Uid};
+use super::values::{BindingName, ClassName, Name, PositiveSpan, Rate, Span, Succession, Uid};
 use crate::document::{At, Log, Node, Place, Source, Table};
+#[cfg(feature = "cli")]
 use schemars::JsonSchema;
 
 /// A COSMIC segment: its nodes, event channels and foreign frames.
-#[derive(JsonSchema, Debug)]
-#[schemars(title = "COSMIC segment", deny_unknown_fields)]
+#[derive(Debug)]
+#[cfg_attr(feature = "cli", derive(JsonSchema))]
+#[cfg_attr(feature = "cli", schemars(title = "COSMIC segment", deny_unknown_fields))]
 pub struct ClusterFile {
     /// What holds for the whole segment.
     pub segment: SegmentTable,
@@ -22,33 +24,37 @@ pub struct ClusterFile {
     /// The event channels.
     pub channel: Vec<ChannelTable>,
     /// Frames on the bus that are not COSMIC's.
-    #[schemars(default)]
+    #[cfg_attr(feature = "cli", schemars(default))]
     pub foreign: Vec<ForeignTable>,
     /// Groups of hard real-time channels that share one fault budget.
-    #[schemars(default)]
+    #[cfg_attr(feature = "cli", schemars(default))]
     pub pool: Vec<PoolTable>,
 }
 
 /// What holds for the whole segment.
-#[derive(JsonSchema, Debug)]
-#[schemars(deny_unknown_fields)]
+#[derive(Debug)]
+#[cfg_attr(feature = "cli", derive(JsonSchema))]
+#[cfg_attr(feature = "cli", schemars(deny_unknown_fields))]
 pub struct SegmentTable {
     /// What the segment is called.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub name: Option<At<Name>>,
     /// The bit rate of the bus.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub bit_rate: Option<At<Rate>>,
     /// ε: how far any node's clock may be from global time.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub clock_accuracy: Option<At<Span>>,
     /// How late a node may act on an instant that has come.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub release_jitter: Option<At<Span>>,
     /// How etags of soft and non real-time channels are found; "static" if not given.
     pub binding: Option<At<BindingName>>,
     /// How often the clock master sends sync and follow-up; "100 ms" if not given, "0 s" for never.
     pub sync_period: Option<At<Span>>,
+    /// How far two time-stamps of one frame, the sender's and a receiver's, may be from the true difference of
+    /// their clocks: interrupt latency and resolution of the timer; "10 us" if not given.
+    pub stamp_error: Option<At<Span>>,
     /// May nodes fail to load their next frame within the inter-frame space (3 bit times)? Then a frame of
     /// lower priority can slip in behind each, and bounds are longer. False if not given.
     pub slow_refill: Option<At<bool>>,
@@ -58,8 +64,9 @@ pub struct SegmentTable {
 }
 
 /// Faults: either `burst` and `interval`, or `count` and `window`.
-#[derive(JsonSchema, Debug)]
-#[schemars(deny_unknown_fields)]
+#[derive(Debug)]
+#[cfg_attr(feature = "cli", derive(JsonSchema))]
+#[cfg_attr(feature = "cli", schemars(deny_unknown_fields))]
 pub struct ErrorsTable {
     /// So many faults at once, then one every `interval`.
     pub burst: Option<At<u32>>,
@@ -70,51 +77,54 @@ pub struct ErrorsTable {
     /// The window that `count` is about.
     pub window: Option<At<PositiveSpan>>,
     /// Where the table stands.
-    #[schemars(skip)]
+    #[cfg_attr(feature = "cli", schemars(skip))]
     pub place: Place,
 }
 
 /// A node.
-#[derive(JsonSchema, Debug)]
-#[schemars(deny_unknown_fields)]
+#[derive(Debug)]
+#[cfg_attr(feature = "cli", derive(JsonSchema))]
+#[cfg_attr(feature = "cli", schemars(deny_unknown_fields))]
 pub struct NodeTable {
     /// Its name.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub name: Option<At<Name>>,
     /// Its UID, unique in the world.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub uid: Option<At<Uid>>,
     /// Its short id, 0..=126; counted from 1 in the order of the file if not given.
-    #[schemars(range(min = 0, max = 126))]
+    #[cfg_attr(feature = "cli", schemars(range(min = 0, max = 126)))]
     pub tx_node: Option<At<u8>>,
-    /// The board it runs on.
-    pub board: Option<At<String>>,
+    /// Its place in the succession of time masters, 0 the first; in the order of the file if not given, the
+    /// first sixteen nodes. "never": it does not become master.
+    pub rank: Option<At<Succession>>,
     /// Names of the channels that it publishes.
-    #[schemars(default)]
+    #[cfg_attr(feature = "cli", schemars(default))]
     pub publishes: Vec<At<String>>,
     /// Names of the channels that it subscribes to.
-    #[schemars(default)]
+    #[cfg_attr(feature = "cli", schemars(default))]
     pub subscribes: Vec<At<String>>,
     /// Where the table stands.
-    #[schemars(skip)]
+    #[cfg_attr(feature = "cli", schemars(skip))]
     pub place: Place,
 }
 
 /// An event channel.
-#[derive(JsonSchema, Debug)]
-#[schemars(deny_unknown_fields)]
+#[derive(Debug)]
+#[cfg_attr(feature = "cli", derive(JsonSchema))]
+#[cfg_attr(feature = "cli", schemars(deny_unknown_fields))]
 pub struct ChannelTable {
     /// Its name.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub name: Option<At<Name>>,
     /// Its subject, unique in the world.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub subject: Option<At<Uid>>,
     /// Its class.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub class: Option<At<ClassName>>,
     /// Bytes of an event at most: 0..=8; non real-time up to 1024, in fragments.
-    #[schemars(required, range(min = 0, max = 1024))]
+    #[cfg_attr(feature = "cli", schemars(required, range(min = 0, max = 1024)))]
     pub length: Option<At<u16>>,
     /// One event in every period. Either this or `min_interarrival`.
     pub period: Option<At<PositiveSpan>>,
@@ -137,31 +147,33 @@ pub struct ChannelTable {
     /// HRT: behind another channel's slot.
     pub after: Option<AfterTable>,
     /// NRT: 0 (most important) to 4 (least, the default).
-    #[schemars(range(min = 0, max = 4))]
+    #[cfg_attr(feature = "cli", schemars(range(min = 0, max = 4)))]
     pub importance: Option<At<u8>>,
     /// The etag; found by itself if not given. HRT: 100..=1023, else 1024..=16383.
-    #[schemars(range(min = 100, max = 16383))]
+    #[cfg_attr(feature = "cli", schemars(range(min = 100, max = 16383)))]
     pub etag: Option<At<u16>>,
     /// Where the table stands.
-    #[schemars(skip)]
+    #[cfg_attr(feature = "cli", schemars(skip))]
     pub place: Place,
 }
 
 /// "This after that, at most so much later."
-#[derive(JsonSchema, Debug)]
-#[schemars(deny_unknown_fields)]
+#[derive(Debug)]
+#[cfg_attr(feature = "cli", derive(JsonSchema))]
+#[cfg_attr(feature = "cli", schemars(deny_unknown_fields))]
 pub struct AfterTable {
     /// The channel that comes first.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub channel: Option<At<String>>,
     /// From its delivery to this channel's ready instant at most.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub within: Option<At<Span>>,
 }
 
 /// Foreign frames: one by `id`, `length` and `period`, or all messages of a DBC file.
-#[derive(JsonSchema, Debug)]
-#[schemars(deny_unknown_fields)]
+#[derive(Debug)]
+#[cfg_attr(feature = "cli", derive(JsonSchema))]
+#[cfg_attr(feature = "cli", schemars(deny_unknown_fields))]
 pub struct ForeignTable {
     /// Its name.
     pub name: Option<At<String>>,
@@ -170,7 +182,7 @@ pub struct ForeignTable {
     /// Has it an identifier of 29 bits? By the identifier if not given: above 0x7FF it has.
     pub extended: Option<At<bool>>,
     /// Bytes of data.
-    #[schemars(range(min = 0, max = 8))]
+    #[cfg_attr(feature = "cli", schemars(range(min = 0, max = 8)))]
     pub length: Option<At<u8>>,
     /// Its period or least distance. With `dbc`: of messages without the attribute `GenMsgCycleTime`.
     pub period: Option<At<PositiveSpan>>,
@@ -181,26 +193,28 @@ pub struct ForeignTable {
     /// A DBC file with the frames, relative to the cluster file.
     pub dbc: Option<At<String>>,
     /// Where the table stands.
-    #[schemars(skip)]
+    #[cfg_attr(feature = "cli", schemars(skip))]
     pub place: Place,
 }
 
 /// Slots that follow each other and share one fault budget.
-#[derive(JsonSchema, Debug)]
-#[schemars(deny_unknown_fields)]
+#[derive(Debug)]
+#[cfg_attr(feature = "cli", derive(JsonSchema))]
+#[cfg_attr(feature = "cli", schemars(deny_unknown_fields))]
 pub struct PoolTable {
     /// The channels: hard real-time, of one period, of different publishers.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub channels: Vec<At<String>>,
     /// How many faults all their slots together tolerate.
-    #[schemars(required)]
+    #[cfg_attr(feature = "cli", schemars(required))]
     pub faults: Option<At<u8>>,
     /// Where the table stands.
-    #[schemars(skip)]
+    #[cfg_attr(feature = "cli", schemars(skip))]
     pub place: Place,
 }
 
 /// The JSON schema of the file, for editors.
+#[cfg(feature = "cli")]
 pub fn schema() -> serde_json::Value {
     schemars::schema_for!(ClusterFile).to_value()
 }
@@ -257,6 +271,7 @@ fn read_segment(table: &Table<'_>) -> SegmentTable {
         release_jitter: table.required("release_jitter", "write how late a node may act, such as \"10 us\""),
         binding: table.optional("binding"),
         sync_period: table.optional("sync_period"),
+        stamp_error: table.optional("stamp_error"),
         slow_refill: table.optional("slow_refill"),
         priority_step: table.optional("priority_step"),
     };
@@ -277,11 +292,13 @@ fn read_errors(table: &Table<'_>) -> ErrorsTable {
 }
 
 fn read_node(table: &Table<'_>, _: &Log) -> NodeTable {
+    let help = "leave it out: the program of the node says in its Cargo.toml which board it is for";
+    table.refuse("board", "has no effect on the plan", help);
     let node = NodeTable {
         name: table.required("name", "give the node a name: name = \"sensor\""),
         uid: table.required("uid", "give the node a UID: uid = \"0x1122334455667788\""),
         tx_node: table.optional("tx_node"),
-        board: table.optional("board"),
+        rank: table.optional("rank"),
         publishes: table.list("publishes"),
         subscribes: table.list("subscribes"),
         place: table.place(),

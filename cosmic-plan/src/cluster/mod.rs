@@ -13,7 +13,10 @@ use crate::analysis::errors::ErrorModel;
 use crate::document::{Problems, Source};
 use cosmic_core::calendar::Segment;
 use cosmic_core::can::{Etag, Priority, TxNode};
+use cosmic_core::protocol::Rank;
 use cosmic_core::time::Duration;
+use cosmic_core::time::sync::SyncConfig;
+use std::path::PathBuf;
 
 /// The commented example that `cosmic-plan new` writes.
 pub const EXAMPLE: &str = include_str!("../../examples/vehicle.toml");
@@ -33,6 +36,8 @@ pub struct Cluster {
     pub slow_refill: bool,
     /// How often the clock master sends sync and follow-up; `None` without a clock service.
     pub sync_period: Option<Duration>,
+    /// How far two time-stamps of one sync frame may be from the true difference of two clocks.
+    pub stamp_error: Duration,
     /// The faults under which soft and non real-time bounds hold.
     pub errors: ErrorModel,
     /// The nodes, in the order of the file.
@@ -43,6 +48,8 @@ pub struct Cluster {
     pub foreign: Vec<Foreign>,
     /// Groups of hard real-time channels that share one fault budget.
     pub pools: Vec<Pool>,
+    /// The other files that it was read from.
+    pub files: Vec<PathBuf>,
 }
 
 /// How the etags of soft and non real-time channels are found.
@@ -63,8 +70,8 @@ pub struct Node {
     pub uid: u64,
     /// Its short id on this segment.
     pub tx_node: TxNode,
-    /// The board it runs on, if the file says.
-    pub board: Option<String>,
+    /// Its place in the succession of time masters; `None`: it does not become master.
+    pub rank: Option<Rank>,
     /// What it publishes: positions in [`Cluster::channels`].
     pub publishes: Vec<usize>,
     /// What it subscribes to: positions in [`Cluster::channels`].
@@ -214,6 +221,13 @@ impl Cluster {
     /// Everything that is wrong with it.
     pub fn read(source: &Source) -> Result<Self, Problems> {
         validate::read(source)
+    }
+
+    /// The settings of the clock synchronisation that all nodes share: without rank and calendar. `None` without a
+    /// clock service.
+    pub fn sync(&self) -> Option<SyncConfig> {
+        let period = self.sync_period?;
+        Some(SyncConfig { period, stamp_error: self.stamp_error, ..SyncConfig::DEFAULT })
     }
 
     /// The nodes that publish a channel.

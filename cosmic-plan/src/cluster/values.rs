@@ -1,13 +1,17 @@
 //! The types that fields of a cluster file have.
 
-use crate::document::{At, FromNode, Kind, Mismatch, Node};
+use crate::document::{FromNode, Kind, Mismatch, Node};
 use crate::units;
 use cosmic_core::can::BitRate;
+use cosmic_core::protocol::Rank;
 use cosmic_core::time::Duration;
+#[cfg(feature = "cli")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+#[cfg(feature = "cli")]
 use std::borrow::Cow;
 
-impl<T: JsonSchema> JsonSchema for At<T> {
+#[cfg(feature = "cli")]
+impl<T: JsonSchema> JsonSchema for crate::document::At<T> {
     fn inline_schema() -> bool {
         true
     }
@@ -23,6 +27,7 @@ impl<T: JsonSchema> JsonSchema for At<T> {
 
 macro_rules! described {
     ($type:ty, $name:expr, $schema:tt) => {
+        #[cfg(feature = "cli")]
         impl JsonSchema for $type {
             fn schema_name() -> Cow<'static, str> {
                 $name.into()
@@ -130,6 +135,31 @@ impl FromNode for Uid {
             0 => Err(wrong("UID 0 is not valid".to_owned())),
             uid => Ok(Self(uid)),
         }
+    }
+}
+
+/// A node's place in the succession of time masters, or none.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Succession(pub Option<Rank>);
+
+described!(Succession, "Succession", {
+    "description": "A place in the succession of time masters, 0 the first; or \"never\".",
+    "anyOf": [
+        { "type": "integer", "minimum": 0, "maximum": 15 },
+        { "type": "string", "enum": ["never"] }
+    ]
+});
+
+impl FromNode for Succession {
+    fn from_node(node: &Node) -> Result<Self, Mismatch> {
+        if matches!(&node.kind, Kind::Text(text) if text == "never") {
+            return Ok(Self(None));
+        }
+        let rank = u8::from_node(node).ok().and_then(Rank::new);
+        rank.map(|rank| Self(Some(rank))).ok_or_else(|| {
+            let help = format!("write 0 (the first) to {} (the last), or \"never\"", Rank::LAST.get());
+            Mismatch::new(format!("{} is no place in the succession of time masters", node.describe()), help)
+        })
     }
 }
 

@@ -1,7 +1,9 @@
 //! What is wrong with a document: everything at once, each with its place and its remedy.
 
 use super::Place;
+#[cfg(feature = "cli")]
 use miette::{Diagnostic, LabeledSpan, NamedSource, SourceCode};
+#[cfg(feature = "cli")]
 use serde::Serialize;
 use std::cell::RefCell;
 use std::fmt;
@@ -85,6 +87,7 @@ pub struct Problems {
 }
 
 /// A problem in a form for machines.
+#[cfg(feature = "cli")]
 #[derive(Serialize, Debug)]
 struct Entry<'a> {
     file: &'a str,
@@ -101,6 +104,7 @@ impl Problems {
         &self.list
     }
 
+    #[cfg(feature = "cli")]
     /// A JSON list of objects with `file`, `line`, `column`, `field`, `problem` and `remedy`.
     pub fn to_json(&self) -> serde_json::Value {
         let entries: Vec<_> = self
@@ -121,6 +125,7 @@ impl Problems {
         serde_json::json!(entries)
     }
 
+    #[cfg(feature = "cli")]
     /// A report with the lines of the source, for people.
     pub fn render(&self, colour: bool) -> String {
         let theme = if colour {
@@ -158,25 +163,30 @@ impl fmt::Display for Problems {
 
 impl std::error::Error for Problems {}
 
+#[cfg(feature = "cli")]
 struct Shown<'a> {
     problem: &'a Problem,
     source: NamedSource<String>,
 }
 
+#[cfg(feature = "cli")]
 impl fmt::Debug for Shown<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)
     }
 }
 
+#[cfg(feature = "cli")]
 impl fmt::Display for Shown<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: {}", self.problem.field, self.problem.what)
     }
 }
 
+#[cfg(feature = "cli")]
 impl std::error::Error for Shown<'_> {}
 
+#[cfg(feature = "cli")]
 impl Diagnostic for Shown<'_> {
     fn help<'a>(&'a self) -> Option<Box<dyn fmt::Display + 'a>> {
         Some(Box::new(&self.problem.help))

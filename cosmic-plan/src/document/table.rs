@@ -92,6 +92,7 @@ pub struct Table<'a> {
     place: Place,
     path: String,
     asked: RefCell<Vec<&'static str>>,
+    refused: RefCell<Vec<&'static str>>,
     log: &'a Log,
 }
 
@@ -109,7 +110,14 @@ impl<'a> Table<'a> {
                 &[]
             }
         };
-        Self { entries, place: node.place.clone(), path, asked: RefCell::default(), log }
+        Self {
+            entries,
+            place: node.place.clone(),
+            path,
+            asked: RefCell::default(),
+            refused: RefCell::default(),
+            log,
+        }
     }
 
     /// Where the table stands.
@@ -131,6 +139,14 @@ impl<'a> Table<'a> {
     pub fn problem(&self, field: &str, place: Place, what: impl Into<String>, help: impl Into<String>) {
         let (what, help) = (what.into(), help.into());
         self.log.add(Problem { place: Some(place), field: self.path_of(field), what, help });
+    }
+
+    /// Notes a problem with the field if it stands there: it is known, and may not be used.
+    pub fn refuse(&self, field: &'static str, what: &str, help: &str) {
+        self.refused.borrow_mut().push(field);
+        if let Some((key, _)) = self.entries.iter().find(|(key, _)| key.value == field) {
+            self.problem(field, key.place.clone(), what, help);
+        }
     }
 
     /// The field as it stands; `None` if it does not.
@@ -189,9 +205,10 @@ impl<'a> Table<'a> {
 
     /// Notes every field that nobody asked for.
     pub fn finish(&self) {
-        let asked = self.asked.borrow();
+        let (asked, refused) = (self.asked.borrow(), self.refused.borrow());
         for (key, _) in self.entries {
-            if !asked.contains(&key.value.as_str()) {
+            let name = key.value.as_str();
+            if !asked.contains(&name) && !refused.contains(&name) {
                 let help = match nearest(&key.value, asked.iter().copied()) {
                     Some(name) => format!("did you mean `{name}`?"),
                     None => format!("the fields here are: {}", asked.join(", ")),

@@ -1,8 +1,9 @@
 //! The report for machines.
 
+use super::text::pool_effect;
 use crate::analysis::segment::{Assessment, Proof};
 use crate::analysis::sensitivity::Growth;
-use crate::cluster::{Class, Cluster};
+use crate::cluster::Cluster;
 use crate::plan::conflict::Conflict;
 use crate::plan::relax::Relaxation;
 use crate::plan::{NoPlan, Plan, PlannedSlot};
@@ -74,50 +75,6 @@ fn of_slot(cluster: &Cluster, planned: &PlannedSlot) -> Value {
         "deadline_us": as_microseconds(slot.phase + times.deadline),
         "delivery_us": as_microseconds(slot.phase + times.delivery),
         "pool": planned.pool,
-    })
-}
-
-/// What a pool saves and what it costs.
-#[derive(Clone, PartialEq, Debug)]
-pub struct PoolEffect {
-    /// The window that its slots share.
-    pub shared: cosmic_core::time::Duration,
-    /// The windows that they would have by themselves, together.
-    pub separate: cosmic_core::time::Duration,
-    /// The fault hypothesis with the pool.
-    pub with_pool: String,
-    /// The omission degrees of separate slots.
-    pub without: String,
-}
-
-/// What a pool saves and what it costs; `None` if it has no slots.
-pub fn pool_effect(cluster: &Cluster, plan: &Plan, pool: usize) -> Option<PoolEffect> {
-    let slots: Vec<&PlannedSlot> = plan.slots().iter().filter(|slot| slot.pool == Some(pool)).collect();
-    let shared = slots.first()?.times.delivery;
-    let degree = |planned: &PlannedSlot| match cluster.channels[planned.channel].class {
-        Class::Hard { omission_degree, .. } => omission_degree,
-        _ => 0,
-    };
-    let alone = |planned: &&PlannedSlot| {
-        cluster.segment.slot_times(planned.slot.len, degree(planned)).delivery.as_ticks()
-    };
-    let faults = cluster.pools[pool].faults;
-    let degrees: Vec<String> = slots
-        .iter()
-        .map(|planned| {
-            let name = &cluster.channels[planned.channel].name;
-            format!("{name} {}", degree(planned))
-        })
-        .collect();
-    Some(PoolEffect {
-        shared,
-        separate: cosmic_core::time::Duration::from_ticks(slots.iter().map(alone).sum()),
-        with_pool: format!(
-            "{faults} {} in all {} slots of an occurrence together",
-            if faults == 1 { "fault" } else { "faults" },
-            slots.len()
-        ),
-        without: degrees.join(", "),
     })
 }
 

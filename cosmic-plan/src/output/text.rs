@@ -1,11 +1,10 @@
 //! The report for people, in at most 80 columns.
 
-use super::report::pool_effect;
 use crate::analysis::segment::Assessment;
 use crate::analysis::sensitivity::Growth;
-use crate::cluster::Cluster;
+use crate::cluster::{Class, Cluster};
 use crate::plan::relax::Relaxation;
-use crate::plan::{Method, NoPlan, Plan};
+use crate::plan::{Method, NoPlan, Plan, PlannedSlot};
 use crate::units::{microseconds, show, show_rate};
 use std::fmt::Write as _;
 
@@ -226,4 +225,48 @@ fn cut(text: &str, width: usize) -> String {
     }
     let kept: String = text.chars().take(width - 1).collect();
     format!("{kept}…")
+}
+
+/// What a pool saves and what it costs.
+#[derive(Clone, PartialEq, Debug)]
+pub struct PoolEffect {
+    /// The window that its slots share.
+    pub shared: cosmic_core::time::Duration,
+    /// The windows that they would have by themselves, together.
+    pub separate: cosmic_core::time::Duration,
+    /// The fault hypothesis with the pool.
+    pub with_pool: String,
+    /// The omission degrees of separate slots.
+    pub without: String,
+}
+
+/// What a pool saves and what it costs; `None` if it has no slots.
+pub fn pool_effect(cluster: &Cluster, plan: &Plan, pool: usize) -> Option<PoolEffect> {
+    let slots: Vec<&PlannedSlot> = plan.slots().iter().filter(|slot| slot.pool == Some(pool)).collect();
+    let shared = slots.first()?.times.delivery;
+    let degree = |planned: &PlannedSlot| match cluster.channels[planned.channel].class {
+        Class::Hard { omission_degree, .. } => omission_degree,
+        _ => 0,
+    };
+    let alone = |planned: &&PlannedSlot| {
+        cluster.segment.slot_times(planned.slot.len, degree(planned)).delivery.as_ticks()
+    };
+    let faults = cluster.pools[pool].faults;
+    let degrees: Vec<String> = slots
+        .iter()
+        .map(|planned| {
+            let name = &cluster.channels[planned.channel].name;
+            format!("{name} {}", degree(planned))
+        })
+        .collect();
+    Some(PoolEffect {
+        shared,
+        separate: cosmic_core::time::Duration::from_ticks(slots.iter().map(alone).sum()),
+        with_pool: format!(
+            "{faults} {} in all {} slots of an occurrence together",
+            if faults == 1 { "fault" } else { "faults" },
+            slots.len()
+        ),
+        without: degrees.join(", "),
+    })
 }

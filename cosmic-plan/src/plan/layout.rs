@@ -1,7 +1,7 @@
 //! From channels to windows, and back from positions to slots.
 
+use super::found::{Method, Plan, PlannedSlot};
 use super::request::{Item, Link, Request, Spacing, gcd, ticks};
-use super::{Method, Plan, PlannedSlot};
 use crate::cluster::{Class, Cluster, Recurrence, Wishes};
 use cosmic_core::calendar::{Slot, SlotTimes};
 use cosmic_core::can::{ERROR_RECOVERY_BITS, Etag, TxNode};

@@ -1,6 +1,7 @@
 //! The event-triggered channel handler: earliest deadline first by the priority field.
 
 use super::lane::{Attended, Departure, Entry, Exception, Lane, Outgoing, RESERVED, Report, Tag};
+use crate::calendar::Calendar;
 use crate::can::{BitRate, Command, Etag, Frame, Mailbox, Outcome, Payload, Priority};
 use crate::time::{Duration, Instant};
 use core::num::NonZeroU32;
@@ -15,7 +16,7 @@ pub struct PriorityMap {
 
 impl PriorityMap {
     /// The longest Δt_p, so that 249 steps fit in 32 bits of nanoseconds.
-    pub const LONGEST_STEP: Duration = Duration::from_millis(17);
+    pub const LONGEST_STEP: Duration = Calendar::LONGEST_PRIORITY_STEP;
 
     /// A map with the step Δt_p; `None` if it is zero or longer than [`PriorityMap::LONGEST_STEP`].
     pub const fn new(step: Duration) -> Option<Self> {
@@ -32,6 +33,15 @@ impl PriorityMap {
     pub const fn of(bit_rate: BitRate) -> Self {
         let step = NonZeroU32::new(bit_rate.longest_frame(Payload::MAX_LEN).as_ticks() as u32);
         Self { step: step.expect("a frame takes time") }
+    }
+
+    /// The map that the segment of this calendar was planned for.
+    pub const fn of_calendar(calendar: &Calendar) -> Self {
+        match Self::new(calendar.priority_step()) {
+            Some(map) => map,
+            // A calendar has no such step.
+            None => Self::of(calendar.segment().bit_rate),
+        }
     }
 
     /// Δt_p.

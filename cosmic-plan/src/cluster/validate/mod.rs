@@ -1,13 +1,16 @@
 //! From the tables of a file to a cluster that can only be valid.
 
-use super::format::{self, ChannelTable, ClusterFile, ErrorsTable, ForeignTable, NodeTable, SegmentTable};
+mod segment;
+
+use super::format::{self, ChannelTable, ClusterFile, ForeignTable, NodeTable};
 use super::values::{BindingName, ClassName};
 use super::{After, Binding, Channel, Class, Cluster, Foreign, Node, Pool, Recurrence, Wishes, dbc};
 use crate::analysis::errors::ErrorModel;
 use crate::document::{At, Log, Place, Problem, Problems, Source, nearest};
 use crate::units::show;
-use cosmic_core::calendar::{Calendar, Segment};
-use cosmic_core::can::{BitRate, Etag, LONGEST_FRAME_BITS, Payload, TxNode};
+use cosmic_core::calendar::Calendar;
+use cosmic_core::can::{Etag, Payload, TxNode};
+use cosmic_core::protocol::Rank;
 use cosmic_core::time::Duration;
 use std::collections::HashMap;
 use std::path::Path;
@@ -57,44 +60,28 @@ impl Checker<'_> {
             priority_step,
             slow_refill: file.segment.slow_refill.as_ref().is_some_and(|at| at.value),
             sync_period: Some(sync_period).filter(|span| !span.is_zero()),
+            stamp_error: file
+                .segment
+                .stamp_error
+                .as_ref()
+                .map_or(segment::USUAL_STAMP_ERROR, |at| at.value.0),
             errors: file.errors.as_ref().map_or(ErrorModel::None, |errors| self.errors(errors)),
             nodes,
             channels,
             foreign: file.foreign.iter().flat_map(|f| self.foreign(f, folder)).collect(),
             pools: Vec::new(),
+            files: file
+                .foreign
+                .iter()
+                .filter_map(|f| f.dbc.as_ref())
+                .map(|at| folder.join(&at.value))
+                .collect(),
         };
+        self.clock(&file.segment, &cluster);
         self.use_of_channels(file, &cluster);
         self.hyperperiod(file, &cluster);
         let pools = file.pool.iter().map(|pool| self.pool(pool, &cluster)).collect();
         Cluster { pools, ..cluster }
-    }
-
-    fn segment(&self, table: &SegmentTable) -> (Segment, Duration) {
-        let bit_rate = table.bit_rate.as_ref().map_or(BitRate::MAX, |at| at.value.0);
-        let segment = Segment {
-            bit_rate,
-            accuracy: table.clock_accuracy.as_ref().map_or(ZERO, |at| at.value.0),
-            release_jitter: table.release_jitter.as_ref().map_or(ZERO, |at| at.value.0),
-        };
-        let step = table.priority_step.as_ref().map_or(bit_rate.bits(LONGEST_FRAME_BITS), |at| at.value.0);
-        (segment, step)
-    }
-
-    fn errors(&self, table: &ErrorsTable) -> ErrorModel {
-        match (&table.burst, &table.interval, &table.count, &table.window) {
-            (Some(burst), Some(interval), None, None) => {
-                ErrorModel::Burst { burst: burst.value, interval: interval.value.0 }
-            }
-            (None, None, Some(count), Some(window)) => {
-                ErrorModel::Window { count: count.value, window: window.value.0 }
-            }
-            _ => {
-                let what = "is neither of the two models";
-                let help = "write burst and interval, or count and window";
-                self.problem(&table.place, "errors".to_owned(), what, help);
-                ErrorModel::None
-            }
-        }
     }
 
     fn channel(&self, table: &ChannelTable, names: &[&str]) -> Channel {
@@ -244,16 +231,28 @@ impl Checker<'_> {
     fn nodes(&self, tables: &[NodeTable], names: &[&str]) -> Vec<Node> {
         let given: Vec<u8> = tables.iter().filter_map(|t| t.tx_node.as_ref()).map(|at| at.value).collect();
         let mut free = (1..=TxNode::MAX.get()).filter(|id| !given.contains(id));
+        let taken: Vec<Rank> = tables.iter().filter_map(|t| t.rank.as_ref()?.value.0).collect();
+        let mut ranks = (0..=Rank::LAST.get()).filter_map(Rank::new).filter(|rank| !taken.contains(rank));
+        let has_one = |t: &&NodeTable| t.rank.as_ref().is_none_or(|at| at.value.0.is_some());
+        self.unique("node", tables.iter().filter(has_one).map(|t| (&t.rank, &t.place)), |at| {
+            format!("rank {}", at.value.0.map_or(0, Rank::get))
+        });
         self.unique("node", tables.iter().map(|t| (&t.name, &t.place)), |at| at.value.0.clone());
         self.unique("node", tables.iter().map(|t| (&t.uid, &t.place)), |at| {
             format!("uid {:#018x}", at.value.0)
         });
         let ids = tables.iter().map(|t| (&t.tx_node, &t.place));
         self.unique("node", ids, |at| format!("tx_node {}", at.value));
-        tables.iter().map(|table| self.node(table, names, &mut free)).collect()
+        tables.iter().map(|table| self.node(table, names, &mut free, &mut ranks)).collect()
     }
 
-    fn node(&self, table: &NodeTable, names: &[&str], free: &mut dyn Iterator<Item = u8>) -> Node {
+    fn node(
+        &self,
+        table: &NodeTable,
+        names: &[&str],
+        free: &mut dyn Iterator<Item = u8>,
+        ranks: &mut dyn Iterator<Item = Rank>,
+    ) -> Node {
         let name = name_of(&table.name);
         let given = table.tx_node.as_ref().map(|at| at.value);
         let tx_node = given.or_else(|| free.next()).and_then(TxNode::new).filter(|id| *id <= TxNode::MAX);
@@ -270,7 +269,7 @@ impl Checker<'_> {
             name: name.to_owned(),
             uid: table.uid.as_ref().map_or(1, |at| at.value.0),
             tx_node: tx_node.unwrap_or(TxNode::MIN),
-            board: table.board.as_ref().map(|at| at.value.clone()),
+            rank: table.rank.as_ref().map_or_else(|| ranks.next(), |at| at.value.0),
             publishes: resolve(&table.publishes, "publishes"),
             subscribes: resolve(&table.subscribes, "subscribes"),
         }

@@ -1,0 +1,118 @@
+//! The event channels: a module of constants for each, and the channel itself for whatever content fits.
+
+use super::{CORE, DURATION, duration, subject};
+use crate::cluster::{Channel, Class, Cluster, Recurrence};
+use crate::plan::Plan;
+use cosmic_core::can::Payload;
+use std::fmt::Write as _;
+
+pub(super) fn write(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fmt::Result {
+    writeln!(out, "/// The event channels, one module each.")?;
+    writeln!(out, "pub mod channels {{")?;
+    for (at, channel) in cluster.channels.iter().enumerate() {
+        let slots: Vec<usize> = (0..plan.slots().len()).filter(|s| plan.slots()[*s].channel == at).collect();
+        let degree = slots.first().map(|slot| plan.slots()[*slot].slot.omission_degree);
+        write_channel(out, channel, &slots, degree)?;
+    }
+    writeln!(out, "}}\n")?;
+    writeln!(out, "/// All channels, in the order of the description.")?;
+    let of = format!("{CORE}::plan::ChannelPlan");
+    writeln!(out, "pub const CHANNELS: [{of}; {}] = [", cluster.channels.len())?;
+    for channel in &cluster.channels {
+        let name = &channel.name;
+        let etag = channel.etag.map_or("None".to_owned(), |_| format!("Some(channels::{name}::ETAG)"));
+        let fields =
+            format!("subject: channels::{name}::SUBJECT, etag: {etag}, len: channels::{name}::LENGTH");
+        writeln!(out, "    {of} {{ name: {name:?}, {fields} }},")?;
+    }
+    writeln!(out, "];\n")
+}
+
+/// `degree`: that of the channel's slots, which is its pool's if it is in one.
+fn write_channel(
+    out: &mut String,
+    channel: &Channel,
+    slots: &[usize],
+    degree: Option<u8>,
+) -> std::fmt::Result {
+    let class = channel.class.abbreviation();
+    writeln!(out, "    /// {class} channel `{}`: at most {} bytes.", channel.name, channel.length)?;
+    writeln!(out, "    pub mod {} {{", channel.name)?;
+    let mut constant = |doc: &str, name: &str, of: &str, value: String| {
+        writeln!(out, "        /// {doc}\n        pub const {name}: {of} = {value};")
+    };
+    constant("Its subject.", "SUBJECT", "::cosmic_core::Subject", subject(channel.subject))?;
+    if let Some(etag) = channel.etag {
+        let value = format!("{CORE}::can::Etag::new({}).unwrap()", etag.get());
+        constant("Its etag on this segment.", "ETAG", "::cosmic_core::can::Etag", value)?;
+    }
+    constant("Bytes of an event at most.", "LENGTH", "usize", channel.length.to_string())?;
+    let (doc, name) = match channel.recurrence {
+        Recurrence::Periodic(_) => ("One event in every period.", "PERIOD"),
+        Recurrence::Sporadic(_) => ("Events come at least this far apart.", "MIN_INTERARRIVAL"),
+    };
+    constant(doc, name, DURATION, duration(channel.recurrence.span()))?;
+    if let [slot] = slots {
+        let value = format!("super::super::SLOTS[{slot}]");
+        constant("Its slot in the calendar.", "SLOT", "::cosmic_core::calendar::Slot", value)?;
+    }
+    let (of, value) = attributes(channel, degree);
+    constant("The quality that the channel is announced with.", "ATTRIBUTES", &of, value)?;
+    write_constructor(out, channel)?;
+    writeln!(out, "    }}")
+}
+
+fn write_constructor(out: &mut String, channel: &Channel) -> std::fmt::Result {
+    let of = format!("{CORE}::event_layer::Channel");
+    let etag = if channel.etag.is_some() { ".with_etag(ETAG)" } else { "" };
+    let value = match channel.class {
+        Class::Hard { .. } => format!("{of}::hard(SUBJECT, ETAG, ATTRIBUTES)"),
+        Class::Soft => format!("{of}::soft(SUBJECT, ATTRIBUTES){etag}"),
+        Class::NonRealTime { .. } => format!("{of}::non_real_time(SUBJECT, ATTRIBUTES){etag}"),
+    };
+    if usize::from(channel.length) > Payload::MAX_LEN {
+        writeln!(out, "        /// The channel, for messages of up to [`LENGTH`] bytes, in fragments.")?;
+        writeln!(out, "        pub const fn channel() -> {of}<{CORE}::can::Payload> {{")?;
+        writeln!(out, "            {value}")?;
+        return writeln!(out, "        }}");
+    }
+    writeln!(
+        out,
+        "        /// The channel, for events of this content. It does not compile if they are longer."
+    )?;
+    writeln!(out, "        pub const fn channel<C: {CORE}::event_layer::Content>() -> {of}<C> {{")?;
+    let problem = format!("the content is longer than the plan says of channel {}", channel.name);
+    writeln!(out, "            const {{ ::core::assert!(C::LEN <= LENGTH, {problem:?}) }};")?;
+    writeln!(out, "            {value}")?;
+    writeln!(out, "        }}")
+}
+
+fn attributes(channel: &Channel, degree: Option<u8>) -> (String, String) {
+    let of = |name: &str| format!("{CORE}::event_layer::{name}");
+    match &channel.class {
+        Class::Hard { omission_degree, .. } => {
+            let periodic = matches!(channel.recurrence, Recurrence::Periodic(_));
+            let period = duration(channel.recurrence.span());
+            let omission_degree = degree.unwrap_or(*omission_degree);
+            let of = of("HardAttributes");
+            let fields =
+                format!("period: {period}, periodic: {periodic}, omission_degree: {omission_degree}");
+            (of.clone(), format!("{of} {{ {fields} }}"))
+        }
+        Class::Soft => {
+            let deadline = channel.deadline.unwrap_or(channel.recurrence.span());
+            let validity = duration(channel.validity.unwrap_or(deadline));
+            let of = of("SoftAttributes");
+            (of.clone(), format!("{of} {{ deadline: {}, validity: {validity} }}", duration(deadline)))
+        }
+        Class::NonRealTime { importance } => {
+            let validity = match channel.validity {
+                Some(validity) => format!("Some({})", duration(validity)),
+                None => "None".to_owned(),
+            };
+            let importance = format!("{}::new({importance}).unwrap()", of("Importance"));
+            let of = of("NonRealTimeAttributes");
+            (of.clone(), format!("{of} {{ importance: {importance}, validity: {validity} }}"))
+        }
+    }
+}
