@@ -1,14 +1,15 @@
-//! Hands the memory map and the linker scripts to the linker, and the plan of the cluster to the compiler.
+//! Plans the cluster, and hands the memory map and the linker scripts to the linker.
 //!
-//! The plan is `plan/calendar.rs`, made by `cosmic-plan`; the environment variable `COSMIC_PLAN` names
-//! another one.
+//! The cluster is the planner's example; `cargo xtask build --cluster FILE` names another one by the environment
+//! variable `COSMIC_CLUSTER`.
 
 use std::path::PathBuf;
 use std::{env, fs};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo::rerun-if-changed=build.rs");
-    hand_over_plan()?;
+    println!("cargo::rerun-if-env-changed=COSMIC_CLUSTER");
+    cosmic_plan::compile(env::var_os("COSMIC_CLUSTER").unwrap_or_else(|| EXAMPLE.into()));
     // On the host there is nothing to place in memory.
     if env::var("CARGO_CFG_TARGET_ARCH")? != "arm" {
         return Ok(());
@@ -23,11 +24,4 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-fn hand_over_plan() -> Result<(), Box<dyn std::error::Error>> {
-    println!("cargo::rerun-if-env-changed=COSMIC_PLAN");
-    let plan = env::var_os("COSMIC_PLAN").map_or_else(|| PathBuf::from("plan/calendar.rs"), PathBuf::from);
-    let path = plan.canonicalize().map_err(|error| format!("COSMIC_PLAN {}: {error}", plan.display()))?;
-    println!("cargo::rerun-if-changed={}", path.display());
-    println!("cargo::rustc-env=COSMIC_PLAN_FILE={}", path.display());
-    Ok(())
-}
+const EXAMPLE: &str = "../cosmic-plan/examples/vehicle.toml";

@@ -18,7 +18,7 @@
 //! | `plan::channels::wheel_speed::channel::<WheelSpeed>()` | the channel, with subject, etag and quality |
 //! | `plan::nodes::sensor::NODE` | what is this node's own, a [`NodePlan`] |
 //! | `plan::NODES`, `plan::CHANNELS` | all of them, in the order of the description |
-//! | `plan::capacity` | how much a node has room for |
+//! | `plan::Capacities` | how much a node has room for, a [`Capacity`](crate::event_half::Capacity) |
 
 use crate::calendar::Calendar;
 use crate::can::filter_banks::FilterBank;

@@ -102,7 +102,7 @@ impl Reporter {
 /// Waits until this node knows the time of the cluster, without which it takes no part in hard real-time.
 pub async fn synchronised(node: &mut impl Mutex<T = Node>) {
     while !node.lock(|node| node.clock().is_synchronised(clock::now())) {
-        clock::delay_until(clock::now() + cluster::SYNC.period).await;
+        clock::delay_until(clock::now() + cluster::plan::SYNC.period).await;
     }
 }
 

@@ -7,22 +7,14 @@
 //! | brake | brake force | wheel speed, temperature, suspension |
 //! | diagnostics | suspension, logbook | wheel speed, brake force |
 
-use boards::bxcan::BANKS;
 use cosmic_core::Subject;
-use cosmic_core::calendar::Slot;
 use cosmic_core::can::Etag;
-use cosmic_core::can::filter_banks::{Fifo, FilterBanks, FilterBanksError, Wanted};
-use cosmic_core::event_layer::{Channel, Content};
+use cosmic_core::event_layer::Channel;
 use cosmic_core::time::Duration;
-use cosmic_core::time::sync::SyncConfig;
-use heapless::Vec;
 
-use plan::channels::{brake_force, logbook, suspension, temperature, wheel_speed};
+use plan::channels;
 
-/// What `cosmic-plan` has made of the description of the cluster.
-pub mod plan {
-    include!(env!("COSMIC_PLAN_FILE"));
-}
+cosmic_core::include_plan!();
 
 cosmic_core::content! {
     /// The speed of one wheel.
@@ -100,84 +92,25 @@ macro_rules! sequenced {
 sequenced!(WheelSpeed, Temperature, BrakeForce, Suspension, LogEntry);
 
 /// Hard real-time.
-pub const WHEEL_SPEED: Channel<WheelSpeed> =
-    Channel::hard(wheel_speed::SUBJECT, wheel_speed::ETAG, wheel_speed::ATTRIBUTES);
+pub const WHEEL_SPEED: Channel<WheelSpeed> = channels::wheel_speed::channel();
 
 /// Soft real-time.
-pub const TEMPERATURE: Channel<Temperature> =
-    Channel::soft(temperature::SUBJECT, temperature::ATTRIBUTES).with_etag(temperature::ETAG);
+pub const TEMPERATURE: Channel<Temperature> = channels::temperature::channel();
 
 /// Soft real-time.
-pub const BRAKE_FORCE: Channel<BrakeForce> =
-    Channel::soft(brake_force::SUBJECT, brake_force::ATTRIBUTES).with_etag(brake_force::ETAG);
+pub const BRAKE_FORCE: Channel<BrakeForce> = channels::brake_force::channel();
 
 /// Soft real-time, and much of it.
-pub const SUSPENSION: Channel<Suspension> =
-    Channel::soft(suspension::SUBJECT, suspension::ATTRIBUTES).with_etag(suspension::ETAG);
+pub const SUSPENSION: Channel<Suspension> = channels::suspension::channel();
 
 /// Non real-time.
-pub const LOGBOOK: Channel<LogEntry> =
-    Channel::non_real_time(logbook::SUBJECT, logbook::ATTRIBUTES).with_etag(logbook::ETAG);
-
-// The plan was made for contents of at most these lengths.
-const _: () = {
-    assert!(WheelSpeed::LEN <= wheel_speed::LENGTH);
-    assert!(Temperature::LEN <= temperature::LENGTH);
-    assert!(BrakeForce::LEN <= brake_force::LENGTH);
-    assert!(Suspension::LEN <= suspension::LENGTH);
-    assert!(LogEntry::LEN <= logbook::LENGTH);
-};
+pub const LOGBOOK: Channel<LogEntry> = channels::logbook::channel();
 
 /// The etag of one of the channels.
 pub fn etag_of(subject: Subject) -> Option<Etag> {
-    ETAGS.iter().find(|(known, _)| *known == subject).map(|(_, etag)| *etag)
+    plan::CHANNELS.iter().find(|channel| channel.subject == subject)?.etag
 }
-
-const ETAGS: [(Subject, Etag); 5] = [
-    (wheel_speed::SUBJECT, wheel_speed::ETAG),
-    (temperature::SUBJECT, temperature::ETAG),
-    (brake_force::SUBJECT, brake_force::ETAG),
-    (suspension::SUBJECT, suspension::ETAG),
-    (logbook::SUBJECT, logbook::ETAG),
-];
-
-/// How the nodes keep their clocks together. Each has its own rank.
-///
-/// The time-stamps are taken in interrupts, which wait for the calendar task, for a copy of an HRT message
-/// buffer, and for the log: at worst 10 µs together.
-pub const SYNC: SyncConfig = SyncConfig {
-    period: plan::SYNC_PERIOD,
-    stamp_error: SyncConfig::stamp_error_for(plan::SEGMENT.bit_rate, Duration::from_micros(10)),
-    ..SyncConfig::DEFAULT
-};
 
 /// From the instant at which one node relies on its clock until all do: the first frames of a master may
 /// have been missed.
-pub const SETTLING: Duration = Duration::from_ticks(3 * SYNC.period.as_ticks());
-
-/// The slot of the wheel speed.
-pub const WHEEL_SPEED_SLOT: Slot = wheel_speed::SLOT;
-
-/// The acceptance filters of a node that subscribes to these subjects: its channels, and synchronisation.
-/// Frames that do not concern it cost it nothing.
-///
-/// # Errors
-/// If the node wants more than there is room for.
-pub fn filters(subscribes: &[Subject]) -> Result<FilterBanks<BANKS>, FilterBanksError> {
-    let mut wanted: Vec<Wanted, WANTED> = Vec::new();
-    let mut want = |wish| wanted.push(wish).map_err(|_| FilterBanksError::TooManyWanted);
-    want(Wanted::etag(Fifo::Urgent, Etag::SYNC))?;
-    want(Wanted::etag(Fifo::Urgent, Etag::FOLLOW_UP))?;
-    for etag in subscribes.iter().filter_map(|subject| etag_of(*subject)) {
-        if !etag.is_hard() {
-            want(Wanted::etag(Fifo::Other, etag))?;
-        }
-        for slot in plan::SLOTS.iter().filter(|slot| slot.etag == etag) {
-            want(Wanted::hard(etag, slot.publisher))?;
-        }
-    }
-    FilterBanks::plan::<WANTED>(&wanted)
-}
-
-/// Wishes of a node for frames.
-const WANTED: usize = 24;
+pub const SETTLING: Duration = Duration::from_ticks(3 * plan::SYNC.period.as_ticks());

@@ -5,44 +5,36 @@ use boards::bxcan_status::{BusStatus, ErrorState};
 use boards::bxcan_tx::{NonRealTimeMailbox, SoftMailbox};
 use boards::clock;
 use cosmic_core::calendar::Slot;
-use cosmic_core::can::{Command, ErrorCounters, Mailbox, TxNode};
-use cosmic_core::event_half::{EventHalf, Input, Step};
+use cosmic_core::can::{Command, ErrorCounters, Mailbox};
+use cosmic_core::event_half::{Capacity, EventHalf, Input, Step};
 use cosmic_core::event_layer::{
     AnnounceError, Channel, Content, Event, Filter, Policy, Publication, PublishError, SubscribeError,
     Subscription,
 };
-use cosmic_core::network::hard::{Dispatcher, HrtBuffers};
-use cosmic_core::protocol::Rank;
+use cosmic_core::plan::NodePlan;
 use cosmic_core::services::ClockService;
-use cosmic_core::time::sync::SyncConfig;
-use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
+use cosmic_core::time::{Duration, GlobalInstant, Instant};
 use rtic_sync::signal::SignalWriter;
 
-use crate::cluster::{self, plan};
+use crate::cluster::plan::Capacities;
 use crate::inbox::Item;
 use crate::shared::Locked;
 
-/// Slots of the calendar in which a node takes part.
-pub const SLOTS: usize = 4;
-const CHANNELS: usize = 8;
-const SUBSCRIPTIONS: usize = 8;
-const EVENTS: usize = 64;
-const SOFT: usize = 16;
-const NON_REAL_TIME: usize = 16;
-
 /// What the two halves of a node share.
-pub type Buffers = HrtBuffers<SLOTS>;
+pub type Buffers = <Capacities as Capacity>::Buffers;
 /// The time-triggered half.
-pub type Calendar = Dispatcher<SLOTS>;
+pub type Calendar = <Capacities as Capacity>::Dispatcher;
 /// The event-triggered half.
-pub type Half = EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NON_REAL_TIME, ClockService, Locked>;
+pub type Half = <Capacities as Capacity>::Half<ClockService, Locked>;
 
-/// The parts of a node that has announced nothing yet, with its rank in the succession of time masters.
+/// The parts of the node of this plan, which has announced nothing yet.
 /// For `init`: the settings of the clock synchronisation are checked here.
-pub fn parts(tx_node: TxNode, rank: Rank) -> (Half, Calendar) {
-    let config = SyncConfig { rank: Some(rank), ..cluster::SYNC };
-    let clock = ClockService::new(config, &plan::CALENDAR, Some(tx_node), clock::now());
-    (Half::new(Some(tx_node), &plan::CALENDAR, defmt::unwrap!(clock), Locked), Calendar::new(&plan::CALENDAR))
+pub fn parts(plan: &NodePlan) -> (Half, Calendar) {
+    let NodePlan { tx_node, calendar, .. } = *plan;
+    let config = defmt::unwrap!(plan.sync, "the plan has no clock synchronisation");
+    let clock = ClockService::new(config, calendar, Some(tx_node), clock::now());
+    let half = Capacities::half(Some(tx_node), calendar, defmt::unwrap!(clock), Locked);
+    (half, Capacities::dispatcher(calendar))
 }
 
 /// The event-triggered half and what it drives. A resource of the `etch` task and the application.

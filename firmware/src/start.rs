@@ -2,13 +2,10 @@
 
 use boards::pac;
 use boards::stm32f4::{Board, Settings};
-use cosmic_core::Subject;
-use cosmic_core::can::TxNode;
-use cosmic_core::protocol::Rank;
+use cosmic_core::plan::NodePlan;
 use rtic_monotonics::stm32::Priority;
 
 use crate::application::Reporter;
-use crate::cluster::{self, plan};
 use crate::inbox::{Inbox, Storage};
 use crate::node::{self, Node};
 use crate::records::Records;
@@ -32,30 +29,18 @@ pub struct Parts {
     pub reporter: Reporter,
 }
 
-/// Which node to bring up.
-#[derive(Clone, Copy)]
-pub struct Identity {
-    /// Its short id.
-    pub tx_node: TxNode,
-    /// Its rank in the succession of time masters.
-    pub rank: Rank,
-    /// The channels that it subscribes to.
-    pub subscribes: &'static [Subject],
-}
-
-/// Brings up a node. For RTIC's `init`; a mistake in the settings ends there, with a log.
-pub fn start(device: pac::Peripherals, identity: Identity, storage: &'static mut Storage) -> Parts {
+/// Brings up the node of this plan. For RTIC's `init`; a mistake in the settings ends there, with a log.
+pub fn start(device: pac::Peripherals, plan: NodePlan, storage: &'static mut Storage) -> Parts {
     let records = Records::start();
-    let Identity { tx_node, rank, subscribes } = identity;
-    let filters = defmt::unwrap!(cluster::filters(subscribes));
-    let settings = Settings { bit_rate: plan::SEGMENT.bit_rate, filters: filters.iter() };
+    let bit_rate = plan.calendar.segment().bit_rate;
+    let settings = Settings { bit_rate, filters: plan.filters.iter() };
     let board = match Board::new(device, settings, Priority::new(TIMER_PRIORITY)) {
         Ok(board) => board,
         Err(error) => defmt::panic!("the board cannot be brought up: {}", defmt::Debug2Format(&error)),
     };
-    let (half, dispatcher) = node::parts(tx_node, rank);
+    let (half, dispatcher) = node::parts(&plan);
     let ends = storage.split();
-    defmt::info!("node {} is up, calendar {=u32:08X}", tx_node.get(), plan::CALENDAR.digest());
+    defmt::info!("node {} is up, calendar {=u32:08X}", plan.tx_node.get(), plan.calendar.digest());
     Parts {
         calendar: CalendarParts {
             dispatcher,

@@ -17,7 +17,7 @@ pub(crate) struct Options {
     /// Only this image; may be given several times.
     #[arg(long = "image", value_name = "NAME")]
     images: Vec<String>,
-    /// Plan this cluster, and build for it instead of the example's plan in firmware/plan/.
+    /// Build for this cluster instead of the example.
     #[arg(long, value_name = "FILE")]
     cluster: Option<PathBuf>,
 }
@@ -25,8 +25,8 @@ pub(crate) struct Options {
 /// Builds the images of the firmware and prints their sizes.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
     let way = setup::prepare(&[])?;
-    let plan = options.cluster.as_deref().map(|file| plan::make(workspace, file)).transpose()?;
-    let built = images::firmware(workspace, &way, plan.as_deref(), &options.images)?;
+    let cluster = options.cluster.as_deref().map(plan::find).transpose()?;
+    let built = images::firmware(workspace, &way, cluster.as_deref(), &options.images)?;
     print!("{}", size::table(&size::measure_all(&built.images)?));
     if let Some(directory) = built.directory() {
         println!("The images are in {}.", directory.display());

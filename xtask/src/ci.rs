@@ -11,7 +11,6 @@ use crate::bench;
 use crate::demo;
 use crate::fuzz;
 use crate::images;
-use crate::plan;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup;
@@ -29,7 +28,6 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
     tally.add(check("formatting", workspace.cargo().args(["fmt", "--all", "--check"])));
     tally.add(clippy(workspace, &way));
     tally.add(documentation(workspace, &way));
-    tally.add(plan::check(workspace).map(|()| Tally::default()));
     tally.add(suite::host(workspace));
     tally.add(fuzz::smoke(workspace));
     tally.add(no_warnings(workspace, &way));

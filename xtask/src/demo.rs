@@ -18,7 +18,7 @@ use crate::workspace::Workspace;
 #[derive(Args)]
 #[command(disable_help_flag = true)]
 pub(crate) struct Arguments {
-    /// `--cluster FILE` plans another cluster and builds for it; all else is passed on to the demo, and
+    /// `--cluster FILE` builds for another cluster; all else is passed on to the demo, and
     /// `cargo xtask demo --help` lists it.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
     pub(crate) all: Vec<String>,
@@ -37,13 +37,13 @@ pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
         refusal.print().context("writing to the terminal")?;
         return Ok(u8::try_from(refusal.exit_code()).unwrap_or(1));
     }
-    let plan = cluster.map(|file| plan::make(workspace, &file)).transpose()?;
+    let cluster = cluster.as_deref().map(plan::find).transpose()?;
     let way = setup::prepare(&[])?;
-    let built = images::firmware(workspace, &way, plan.as_deref(), &[])?;
+    let built = images::firmware(workspace, &way, cluster.as_deref(), &[])?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut program = workspace.cargo();
     program.args(["build", "--release", "--package", PACKAGE, "--bin", "demo"]);
-    program.envs(plan.map(|file| (plan::VARIABLE, file)));
+    program.envs(cluster.map(|file| (plan::VARIABLE, file)));
     step("building the demo", || run::run(&mut program))?;
     // Not by `cargo run`, which would move it to the root of the repository: the files that it is to
     // write are named from where the user is.

@@ -31,17 +31,16 @@ impl Built {
     }
 }
 
-/// Builds images of the example's firmware, from the plan in the repository or another one: all if none is
-/// named.
+/// Builds images of the example's firmware, for its own cluster or another one: all if none is named.
 pub(crate) fn firmware(
     workspace: &Workspace,
     way: &TargetWay,
-    plan: Option<&Path>,
+    cluster: Option<&Path>,
     names: &[String],
 ) -> Result<Built> {
     step("building the firmware images", || {
         let mut command = way.cargo(workspace, "build");
-        command.envs(plan.map(|file| (plan::VARIABLE, file)));
+        command.envs(cluster.map(|file| (plan::VARIABLE, file)));
         build(command, "firmware", names)
     })
 }

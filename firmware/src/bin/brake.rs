@@ -7,24 +7,17 @@ use panic_probe as _;
 #[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2, SPI3])]
 mod app {
     use cosmic_core::event_layer::{Depth, Policy};
-    use cosmic_core::protocol::Rank;
     use firmware::application::{self, Publisher, Reporter, Subscriber};
     use firmware::cluster::plan::nodes;
     use firmware::cluster::{self, BrakeForce};
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::Node;
     use firmware::signals;
-    use firmware::start::{Identity, Parts, start};
+    use firmware::start::{Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
 
     /// For each subscription.
     const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
-
-    const IDENTITY: Identity = Identity {
-        tx_node: nodes::brake::TX_NODE,
-        rank: Rank::new(1).unwrap(),
-        subscribes: nodes::brake::SUBSCRIBES,
-    };
 
     #[shared]
     struct Shared {
@@ -45,7 +38,7 @@ mod app {
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
-        let parts = start(context.device, IDENTITY, context.local.storage);
+        let parts = start(context.device, nodes::brake::NODE, context.local.storage);
         let Parts { calendar, urgent, outcomes, other, inbox, node, reporter } = parts;
         let spawned = [
             calendar::spawn(),

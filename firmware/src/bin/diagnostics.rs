@@ -9,7 +9,6 @@ use panic_probe as _;
 mod app {
     use boards::clock;
     use cosmic_core::event_layer::{Depth, Policy};
-    use cosmic_core::protocol::Rank;
     use cosmic_core::time::Duration;
     use firmware::application::{self, Publisher, Reporter, Subscriber};
     use firmware::cluster::plan::{channels, nodes};
@@ -17,7 +16,7 @@ mod app {
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::Node;
     use firmware::signals;
-    use firmware::start::{Identity, Parts, start};
+    use firmware::start::{Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
 
     const SUSPENSION_PERIOD: Duration = channels::suspension::PERIOD;
@@ -28,12 +27,6 @@ mod app {
 
     /// For each subscription.
     const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
-
-    const IDENTITY: Identity = Identity {
-        tx_node: nodes::diagnostics::TX_NODE,
-        rank: Rank::new(2).unwrap(),
-        subscribes: nodes::diagnostics::SUBSCRIBES,
-    };
 
     #[shared]
     struct Shared {
@@ -54,7 +47,7 @@ mod app {
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
-        let parts = start(context.device, IDENTITY, context.local.storage);
+        let parts = start(context.device, nodes::diagnostics::NODE, context.local.storage);
         let Parts { calendar, urgent, outcomes, other, inbox, node, reporter } = parts;
         let spawned = [
             calendar::spawn(),

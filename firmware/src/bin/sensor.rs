@@ -8,7 +8,6 @@ use panic_probe as _;
 mod app {
     use boards::clock;
     use cosmic_core::event_layer::{Depth, Policy};
-    use cosmic_core::protocol::Rank;
     use cosmic_core::time::Duration;
     use firmware::application::{self, Publisher, Reporter, Subscriber};
     use firmware::cluster::plan::{channels, nodes};
@@ -16,18 +15,12 @@ mod app {
     use firmware::inbox::{Inbox, Storage};
     use firmware::node::Node;
     use firmware::signals;
-    use firmware::start::{Identity, Parts, start};
+    use firmware::start::{Parts, start};
     use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
 
     /// A measurement is published this long before its slot.
     const LEAD: Duration = Duration::from_micros(500);
     const TEMPERATURE_PERIOD: Duration = channels::temperature::PERIOD;
-
-    const IDENTITY: Identity = Identity {
-        tx_node: nodes::sensor::TX_NODE,
-        rank: Rank::FIRST,
-        subscribes: nodes::sensor::SUBSCRIBES,
-    };
 
     #[shared]
     struct Shared {
@@ -46,7 +39,7 @@ mod app {
 
     #[init(local = [storage: Storage = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
-        let parts = start(context.device, IDENTITY, context.local.storage);
+        let parts = start(context.device, nodes::sensor::NODE, context.local.storage);
         let Parts { calendar, urgent, outcomes, other, inbox, node, reporter } = parts;
         let spawned = [
             calendar::spawn(),
@@ -99,7 +92,7 @@ mod app {
         application::synchronised(node).await;
         clock::delay_until(clock::now() + cluster::SETTLING).await;
         // Announced shortly before the first event: from then on a slot without one is an error.
-        let next = node.lock(|node| node.before_slot(&cluster::WHEEL_SPEED_SLOT, LEAD, clock::now()));
+        let next = node.lock(|node| node.before_slot(&channels::wheel_speed::SLOT, LEAD, clock::now()));
         clock::delay_until(next).await;
         let publisher = Publisher::announce(&cluster::WHEEL_SPEED, node);
         let mut sequence = 0;
@@ -107,7 +100,7 @@ mod app {
             let content = WheelSpeed { sequence, speed: signals::wheel_speed(sequence), valid: true };
             publisher.publish(content, node, reporter);
             sequence = sequence.wrapping_add(1);
-            let next = node.lock(|node| node.before_slot(&cluster::WHEEL_SPEED_SLOT, LEAD, clock::now()));
+            let next = node.lock(|node| node.before_slot(&channels::wheel_speed::SLOT, LEAD, clock::now()));
             clock::delay_until(next).await;
         }
     }

@@ -109,10 +109,7 @@ pub static EXAMPLE: LazyLock<Cluster> = LazyLock::new(|| {
     Cluster { calendar: &plan::CALENDAR, nodes, channels: channels.into_iter().flatten().collect() }
 });
 
-/// What `cosmic-plan` has made of the description of the cluster; the images are built from the same file.
-pub mod plan {
-    include!(env!("COSMIC_PLAN_FILE"));
-}
+cosmic_core::include_plan!();
 
 fn node(name: &'static str, tx_node: TxNode) -> Node {
     Node { name, tx_node }

@@ -122,19 +122,20 @@ fn write_clock(out: &mut String, cluster: &Cluster) -> fmt::Result {
 
 fn write_needs(out: &mut String, needs: Needs) -> fmt::Result {
     let Needs { slots, channels, subscriptions, events, soft, non_real_time } = needs;
-    writeln!(out, "/// How much a node of the cluster has room for.")?;
-    writeln!(out, "pub mod capacity {{")?;
-    for (doc, name, value) in [
-        ("Slots of the calendar in which it takes part.", "SLOTS", slots),
-        ("Channels that it announces or subscribes to.", "CHANNELS", channels),
-        ("Subscriptions.", "SUBSCRIPTIONS", subscriptions),
-        ("Received events that wait, in all queues together.", "EVENTS", events),
-        ("Soft real-time events that wait to be sent.", "SOFT", soft),
-        ("Non real-time events that wait to be sent.", "NON_REAL_TIME", non_real_time),
+    writeln!(out, "{CORE}::capacity! {{")?;
+    writeln!(out, "    /// How much a node of the cluster has room for.")?;
+    writeln!(out, "    pub Capacities {{")?;
+    for (name, value) in [
+        ("slots", slots),
+        ("channels", channels),
+        ("subscriptions", subscriptions),
+        ("events", events),
+        ("soft", soft),
+        ("non_real_time", non_real_time),
     ] {
-        writeln!(out, "    /// {doc}\n    pub const {name}: usize = {value};")?;
+        writeln!(out, "        {name}: {value},")?;
     }
-    writeln!(out, "}}\n")
+    writeln!(out, "    }}\n}}\n")
 }
 
 fn subject(subject: u64) -> String {
