@@ -16,10 +16,8 @@ const FILE: &str = "plan.rs";
 /// [`cosmic_core::include_plan!`].
 ///
 /// ```no_run
-/// // build.rs
-/// fn main() {
-///     cosmic_plan::compile("cluster.toml");
-/// }
+/// // All of build.rs, but for `fn main`:
+/// cosmic_plan::compile("cluster.toml");
 /// ```
 ///
 /// If there is no plan, or the file is wrong, or something in it does not hold, the build ends here with all that

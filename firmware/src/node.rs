@@ -6,14 +6,14 @@ use boards::bxcan_tx::{NonRealTimeMailbox, SoftMailbox};
 use boards::clock;
 use cosmic_core::calendar::Slot;
 use cosmic_core::can::{Command, ErrorCounters, Mailbox};
-use cosmic_core::event_half::{Capacity, EventHalf, Input, Step};
+use cosmic_core::event_half::{Capacity, Input, Step};
 use cosmic_core::event_layer::{
     AnnounceError, Channel, Content, Event, Filter, Policy, Publication, PublishError, SubscribeError,
     Subscription,
 };
 use cosmic_core::plan::NodePlan;
 use cosmic_core::services::ClockService;
-use cosmic_core::time::{Duration, GlobalInstant, Instant};
+use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
 use rtic_sync::signal::SignalWriter;
 
 use crate::cluster::plan::Capacities;
@@ -63,7 +63,7 @@ impl Node {
     /// Announces a channel.
     ///
     /// # Errors
-    /// Those of [`EventHalf::announce`].
+    /// Those of [`EventHalf::announce`](cosmic_core::EventHalf::announce).
     pub fn announce<C: Content>(&mut self, channel: &Channel<C>) -> Result<Publication<C>, AnnounceError> {
         let publication = self.half.announce(channel)?;
         self.wake_calendar.write(());
@@ -73,7 +73,7 @@ impl Node {
     /// Subscribes to all events of a channel.
     ///
     /// # Errors
-    /// Those of [`EventHalf::subscribe`].
+    /// Those of [`EventHalf::subscribe`](cosmic_core::EventHalf::subscribe).
     pub fn subscribe<C: Content>(
         &mut self,
         channel: &Channel<C>,
@@ -92,7 +92,7 @@ impl Node {
     /// Publishes an event. Wake the `etch` task afterwards.
     ///
     /// # Errors
-    /// Those of [`EventHalf::publish`].
+    /// Those of [`EventHalf::publish`](cosmic_core::EventHalf::publish).
     pub fn publish<C: Content>(
         &mut self,
         now: Instant,
