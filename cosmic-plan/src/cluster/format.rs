@@ -52,9 +52,9 @@ pub struct SegmentTable {
     pub binding: Option<At<BindingName>>,
     /// How often the clock master sends sync and follow-up; "100 ms" if not given, "0 s" for never.
     pub sync_period: Option<At<Span>>,
-    /// How far two time-stamps of one frame, the sender's and a receiver's, may be from the true difference of
-    /// their clocks: interrupt latency and resolution of the timer; "10 us" if not given.
-    pub stamp_error: Option<At<Span>>,
+    /// How late a node takes the time-stamp of a frame at worst: latency of the interrupt and resolution of the
+    /// timer; "10 us" if not given.
+    pub stamp_latency: Option<At<Span>>,
     /// May nodes fail to load their next frame within the inter-frame space (3 bit times)? Then a frame of
     /// lower priority can slip in behind each, and bounds are longer. False if not given.
     pub slow_refill: Option<At<bool>>,
@@ -271,7 +271,7 @@ fn read_segment(table: &Table<'_>) -> SegmentTable {
         release_jitter: table.required("release_jitter", "write how late a node may act, such as \"10 us\""),
         binding: table.optional("binding"),
         sync_period: table.optional("sync_period"),
-        stamp_error: table.optional("stamp_error"),
+        stamp_latency: table.optional("stamp_latency"),
         slow_refill: table.optional("slow_refill"),
         priority_step: table.optional("priority_step"),
     };

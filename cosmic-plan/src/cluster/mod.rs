@@ -36,8 +36,8 @@ pub struct Cluster {
     pub slow_refill: bool,
     /// How often the clock master sends sync and follow-up; `None` without a clock service.
     pub sync_period: Option<Duration>,
-    /// How far two time-stamps of one sync frame may be from the true difference of two clocks.
-    pub stamp_error: Duration,
+    /// How late a node takes the time-stamp of a sync frame at worst.
+    pub stamp_latency: Duration,
     /// The faults under which soft and non real-time bounds hold.
     pub errors: ErrorModel,
     /// The nodes, in the order of the file.
@@ -227,7 +227,8 @@ impl Cluster {
     /// clock service.
     pub fn sync(&self) -> Option<SyncConfig> {
         let period = self.sync_period?;
-        Some(SyncConfig { period, stamp_error: self.stamp_error, ..SyncConfig::DEFAULT })
+        let stamp_error = SyncConfig::stamp_error_for(self.segment.bit_rate, self.stamp_latency);
+        Some(SyncConfig { period, stamp_error, ..SyncConfig::DEFAULT })
     }
 
     /// The nodes that publish a channel.

@@ -60,11 +60,11 @@ impl Checker<'_> {
             priority_step,
             slow_refill: file.segment.slow_refill.as_ref().is_some_and(|at| at.value),
             sync_period: Some(sync_period).filter(|span| !span.is_zero()),
-            stamp_error: file
+            stamp_latency: file
                 .segment
-                .stamp_error
+                .stamp_latency
                 .as_ref()
-                .map_or(segment::USUAL_STAMP_ERROR, |at| at.value.0),
+                .map_or(segment::USUAL_STAMP_LATENCY, |at| at.value.0),
             errors: file.errors.as_ref().map_or(ErrorModel::None, |errors| self.errors(errors)),
             nodes,
             channels,

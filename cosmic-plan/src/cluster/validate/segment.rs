@@ -33,7 +33,7 @@ impl Checker<'_> {
         let Some(Err(error)) = cluster.sync().map(|config| config.check()) else { return };
         let (field, at) = match (error, &table.sync_period) {
             (SyncConfigError::Period, at) | (_, at @ Some(_)) => ("sync_period", at),
-            _ => ("stamp_error", &table.stamp_error),
+            _ => ("stamp_latency", &table.stamp_latency),
         };
         let (what, help) = match error {
             SyncConfigError::Period => (
@@ -45,8 +45,8 @@ impl Checker<'_> {
                 ),
             ),
             _ => (
-                format!("is too short for time-stamps that are {} out", show(cluster.stamp_error)),
-                "make sync_period at least a hundred times stamp_error".to_owned(),
+                format!("is too short for time-stamps that are {} late", show(cluster.stamp_latency)),
+                "make sync_period at least a hundred times stamp_latency".to_owned(),
             ),
         };
         let place = at.as_ref().map_or(0..0, |at| at.place.clone());
@@ -72,4 +72,4 @@ impl Checker<'_> {
 }
 
 /// Interrupt latency and resolution of the timer, if the file does not say.
-pub(super) const USUAL_STAMP_ERROR: Duration = Duration::from_micros(10);
+pub(super) const USUAL_STAMP_LATENCY: Duration = Duration::from_micros(10);
