@@ -25,7 +25,7 @@ impl Fifo {
     pub(super) fn push(&mut self, message: ReceivedWords, locked: bool) {
         if self.messages.len() < DEPTH {
             self.messages.push_back(message);
-            self.full = self.messages.len() == DEPTH;
+            self.full |= self.messages.len() == DEPTH;
             return;
         }
         self.overrun = true;
@@ -41,7 +41,8 @@ impl Fifo {
         self.messages.len() as u32 | flag(self.full, FULL) | flag(self.overrun, OVERRUN)
     }
 
-    /// Writes RFxR: clears flags, releases the first message.
+    /// Writes RFxR: clears flags, releases the first message. FULL is set when the third message is stored and
+    /// cleared by software only, so it outlasts a release (RM0090, CAN_RFxR).
     pub(super) fn write_status(&mut self, value: u32) {
         if value & FULL != 0 {
             self.full = false;
@@ -51,7 +52,6 @@ impl Fifo {
         }
         if value & RELEASE != 0 {
             self.messages.pop_front();
-            self.full = false;
         }
     }
 
@@ -91,8 +91,10 @@ mod tests {
                 fifo.write_status(RELEASE);
             }
             assert_eq!(seen, [1, 2, last]);
-            assert_eq!(fifo.status(), OVERRUN);
+            assert_eq!(fifo.status(), FULL | OVERRUN);
             fifo.write_status(OVERRUN);
+            assert_eq!(fifo.status(), FULL);
+            fifo.write_status(FULL);
             assert_eq!(fifo.status(), 0);
         }
     }

@@ -5,10 +5,13 @@
 //!
 //! Not modelled: loop-back and silent mode, no automatic retransmission (NART), automatic wake-up, the
 //! time stamp sent in the last two bytes (TGT). Initialisation and sleep mode are entered at once, not
-//! at the end of the current frame. The status bits TXM, RXM, SAMP and RX of MSR read as after reset.
+//! at the end of the current frame. LEC tells of transmitted frames only, and arbitration lost (ALST) is not
+//! told. The status bits TXM, RXM, SAMP and RX of MSR read as after reset.
 
 mod fifo;
 mod filter;
+#[cfg(test)]
+mod manual;
 mod transmit;
 
 use cosmic_bus::{ErrorCause, ErrorLevel, ErrorState, WireFrame};
@@ -202,6 +205,7 @@ impl BxCan {
         if self.synchronised_at.is_some_and(|at| at <= now) {
             self.synchronised_at = None;
             self.acknowledged = 0;
+            self.causes &= !msr::SLAKI;
         }
     }
 
@@ -349,8 +353,11 @@ impl BxCan {
         if self.acknowledged == 0 || self.synchronised_at.is_some() {
             self.commands.push((now, Command::Disconnect));
         }
-        if wanted == msr::SLAK && self.acknowledged != msr::SLAK {
+        if wanted == msr::SLAK && self.acknowledged != msr::SLAK && self.ier & ier::SLKIE != 0 {
             self.causes |= msr::SLAKI;
+        }
+        if wanted != msr::SLAK {
+            self.causes &= !msr::SLAKI;
         }
         self.synchronised_at = None;
         self.acknowledged = wanted;

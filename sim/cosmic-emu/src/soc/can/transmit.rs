@@ -15,6 +15,8 @@ mod tsr {
     pub(super) const TXOK: u32 = 1 << 1;
     pub(super) const TERR: u32 = 1 << 3;
     pub(super) const OUTCOME: u32 = 0xF;
+    /// TXOK, ALST, TERR: each is cleared by a 1 as well, and all of them by RQCP.
+    pub(super) const CLEARED_BY_ONE: u32 = 0xE;
     pub(super) const ABRQ: u32 = 1 << 7;
     pub(super) const CODE: u32 = 24;
     pub(super) const TME: u32 = 26;
@@ -124,6 +126,7 @@ impl Transmit {
         for n in 0..MAILBOXES {
             let bits = value >> (8 * n);
             let mailbox = &mut self.mailboxes[n];
+            mailbox.status &= !(bits & tsr::CLEARED_BY_ONE);
             if bits & tsr::RQCP != 0 {
                 mailbox.status &= !tsr::OUTCOME;
             }
