@@ -192,6 +192,7 @@ impl Calendar {
     ///
     /// # Panics
     /// With the name of the error, if there is one.
+    #[allow(clippy::panic, reason = "in a constant, where it stops the compiler")]
     pub const fn checked(segment: Segment, cycle: Duration, slots: &'static [Slot]) -> Self {
         match Self::new(segment, cycle, slots) {
             Ok(calendar) => calendar,
@@ -255,6 +256,7 @@ impl Calendar {
 }
 
 /// The instants of a slot, or of the pool that it belongs to.
+#[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
 const fn window(segment: &Segment, slots: &[Slot], slot: &Slot) -> SlotTimes {
     let mut longest = slot.len;
     let mut others = 0;
@@ -280,6 +282,7 @@ const fn window(segment: &Segment, slots: &[Slot], slot: &Slot) -> SlotTimes {
     }
 }
 
+#[allow(clippy::indexing_slicing, reason = "the caller and the loop stay within the length")]
 const fn check_slot(
     segment: &Segment,
     cycle: Duration,
@@ -339,6 +342,7 @@ const fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
     a
 }
 
+#[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
 const fn digest(segment: &Segment, cycle: Duration, slots: &[Slot]) -> u32 {
     const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
     let mut digest = CRC.digest();

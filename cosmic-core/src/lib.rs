@@ -100,6 +100,11 @@
 //! additive, and off.
 #![no_std]
 #![forbid(unsafe_code)]
+// Input never reaches a panic. Where a bound is proven, the exception stands beside it, with its reason.
+#![cfg_attr(
+    not(test),
+    deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)
+)]
 
 #[cfg(test)]
 extern crate std;

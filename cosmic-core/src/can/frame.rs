@@ -54,6 +54,7 @@ impl Payload {
     pub const EMPTY: Self = Self { bytes: [0; Self::MAX_LEN], len: Len::L0 };
 
     /// A copy of `bytes`; `None` if there are more than eight.
+    #[allow(clippy::indexing_slicing, reason = "at most eight, which was asked")]
     pub const fn new(bytes: &[u8]) -> Option<Self> {
         if bytes.len() > Self::MAX_LEN {
             return None;
@@ -85,6 +86,7 @@ impl Payload {
 
     /// The bytes.
     #[inline]
+    #[allow(clippy::indexing_slicing, reason = "`min` keeps it within the bytes")]
     pub fn as_slice(&self) -> &[u8] {
         // The length is at most eight by construction; `min` says so where the compiler is not told.
         &self.bytes[..self.len().min(Self::MAX_LEN)]

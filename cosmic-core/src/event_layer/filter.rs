@@ -105,6 +105,7 @@ impl Context {
     ///
     /// # Errors
     /// [`NoRoom`]
+    #[allow(clippy::indexing_slicing, reason = "a width is at most four")]
     pub fn with(self, attribute: Attribute, value: u32) -> Result<Self, NoRoom> {
         if value > attribute.max() {
             return Err(NoRoom);
@@ -146,6 +147,7 @@ impl Context {
     ///
     /// # Errors
     /// [`NoRoom`] if both together are over eight bytes.
+    #[allow(clippy::indexing_slicing, reason = "what does not fit has been refused before")]
     pub fn prepend(&self, content: &Payload) -> Result<Payload, NoRoom> {
         let mut bytes = [0; Payload::MAX_LEN];
         let len = len_of(self.presence);
@@ -231,6 +233,7 @@ impl Filter {
     }
 }
 
+#[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
 const fn mask_of(attributes: &[Attribute]) -> u8 {
     let mut mask = 0;
     let mut at = 0;

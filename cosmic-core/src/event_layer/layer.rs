@@ -149,6 +149,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     }
 
     /// Subscribes to a channel. O(CHANNELS + SUBSCRIPTIONS).
+    #[allow(clippy::indexing_slicing, reason = "the place was found by its number")]
     pub(crate) fn subscribe<C: Content>(
         &mut self,
         channel: &Channel<C>,
@@ -415,6 +416,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     }
 
     /// The entry of a channel, made if there is none.
+    #[allow(clippy::indexing_slicing, reason = "the place was found or is free, by its number")]
     fn enter(&mut self, declared: &Declared) -> Result<u8, AnnounceError> {
         if let Some(at) = self.find(declared.subject) {
             let same = self.channels[at].as_ref().is_some_and(|entry| entry.declared == *declared);

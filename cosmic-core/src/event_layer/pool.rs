@@ -22,6 +22,7 @@ pub(crate) struct Waiting {
 impl Waiting {
     /// Attributes of context, if the channel has them, and content.
     #[inline]
+    #[allow(clippy::indexing_slicing, reason = "`min` keeps it within the bytes")]
     pub(crate) fn as_slice(&self) -> &[u8] {
         &self.bytes[..usize::from(self.len).min(Payload::MAX_LEN)]
     }
@@ -57,6 +58,7 @@ pub(super) struct List {
 pub(super) struct PoolFull;
 
 impl<const N: usize> Pool<N> {
+    #[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
     pub(super) const fn new() -> Self {
         const { assert!(N > 0 && N <= 255, "a node has room for 1..=255 waiting events") };
         let nothing = Waiting {

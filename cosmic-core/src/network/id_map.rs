@@ -127,6 +127,7 @@ impl<const BITS: u32, const N: usize> IdMap<BITS, N> {
 
     /// Exchanges it for one that was in one of its buckets; the same again undoes that. Left and right take
     /// turns, and so do the places of a bucket, or two keys would chase each other.
+    #[allow(clippy::indexing_slicing, reason = "a bucket has two places")]
     fn displace(&mut self, moved: usize, homeless: &mut u32) {
         let key = *homeless >> BITS;
         let at = if moved.is_multiple_of(2) { Self::left(key) } else { Self::right(key) };

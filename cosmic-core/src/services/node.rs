@@ -372,6 +372,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         self.clock.on_sent(frame, sent_at);
     }
 
+    #[allow(clippy::indexing_slicing, reason = "the place was found by its number")]
     fn declare(&mut self, declaration: &Declaration) -> Result<(), TooMany> {
         self.idle_until = Instant::EPOCH;
         let &Declaration { subject, etag, class, layout, publishes, subscribes } = declaration;

@@ -234,6 +234,7 @@ impl<const N: usize> HrtBuffers<N> {
     ///
     /// # Errors
     /// [`AttachError::Full`]; nothing has changed then.
+    #[allow(clippy::indexing_slicing, reason = "the places were found by their numbers")]
     pub fn attach(&mut self, request: &Attach<'_>) -> Result<BufferId, AttachError> {
         let slot = request.slot;
         let id = Id::new(Priority::HARD, slot.publisher, slot.etag);

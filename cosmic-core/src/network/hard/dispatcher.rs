@@ -301,6 +301,7 @@ impl<const N: usize> Dispatcher<N> {
     /// Slots have come or gone, or the clock is another one: starts the new slots at their next occurrence,
     /// and all of them if the clock was set; or says what is to be done before that. O(N).
     #[inline(never)]
+    #[allow(clippy::indexing_slicing, reason = "slots and occurrences are equally many")]
     fn revise(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Result<(), Step> {
         self.next.is_known = false;
         if buffers.mailbox == HardMailbox::Orphaned {

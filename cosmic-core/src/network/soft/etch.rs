@@ -30,6 +30,7 @@ impl PriorityMap {
     }
 
     /// Δt_p of one longest frame, which is as fine as it is of use: frames cannot be pre-empted.
+    #[allow(clippy::expect_used, reason = "no bit rate is so fast that a frame takes no time")]
     pub const fn of(bit_rate: BitRate) -> Self {
         let step = NonZeroU32::new(bit_rate.longest_frame(Payload::MAX_LEN).as_ticks() as u32);
         Self { step: step.expect("a frame takes time") }

@@ -29,6 +29,7 @@ pub struct Queue<T, const N: usize> {
 
 impl<T, const N: usize> Queue<T, N> {
     /// An empty queue.
+    #[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
     pub const fn new() -> Self {
         const { assert!(N > 0 && N <= 255, "a queue has 1..=255 places") };
         let mut ranks = [Rank { key: 0, order: 0, place: 0 }; N];
