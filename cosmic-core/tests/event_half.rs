@@ -396,3 +396,20 @@ fn a_hard_event_that_is_not_fetched_in_time_is_overwritten() {
     assert_eq!(half.next(&subscription).unwrap().content, 1);
     assert!(half.next(&subscription).is_none());
 }
+
+/// One priority stands for as much of the remaining time as the plan of the cluster says.
+#[test]
+fn the_priority_step_of_the_calendar_is_that_of_the_node() {
+    static COARSE: Calendar = CALENDAR.with_priority_step(Duration::from_millis(1));
+    let priority = |calendar| {
+        let mut half = Half::new(Some(ME), calendar, (), Buffers::new(GlobalClock::free_running()));
+        let publication = half.announce(&SOFT).unwrap();
+        let due = half.publish(at(0), &publication, &Event::new(7)).unwrap();
+        let Some(Command::Load(Mailbox::Soft, frame)) = due.command() else { panic!("{due:?}") };
+        frame.id.priority()
+    };
+    // 5 ms are 31 longest frames of 160 µs.
+    assert_eq!(priority(&CALENDAR), Priority::new(1 + 31));
+    assert_eq!(priority(&COARSE), Priority::new(1 + 5));
+    assert_eq!(CALENDAR.digest(), COARSE.digest());
+}

@@ -107,6 +107,26 @@ fn all_mistakes_are_named_at_once_with_their_lines() {
 }
 
 #[test]
+fn what_would_not_reach_the_image_is_refused() {
+    let folder = folder("refused");
+    let channel = "[[channel]]\nname = 'heat'\nsubject = 7\nclass = 'NRT'\nlength = 2\nperiod = '10 ms'\n";
+    for (head, node, field, remedy) in [
+        ("", "board = 'stm32f407'", "node.a.board", "leave it out"),
+        ("", "rank = 16", "node.a.rank", "write 0 (the first) to 15 (the last), or \"never\""),
+        ("priority_step = '18 ms'", "", "segment.priority_step", "write at most 17 ms"),
+        ("sync_period = '1 ms'", "", "segment.sync_period", "write 5 ms to 10 s"),
+        ("sync_period = '5 ms'\nstamp_latency = '1 ms'", "", "segment.sync_period", "a hundred times"),
+    ] {
+        let text = HEAD.replace("[segment]", &format!("[segment]\n{head}"));
+        let text = format!("{text}{node}\npublishes = ['heat']\n{channel}");
+        let report = json(&run(&["check", &file(&folder, "wrong.toml", &text), "--json"]));
+        assert_eq!(report["problems"].as_array().map(Vec::len), Some(1), "{report}");
+        assert_eq!(report["problems"][0]["field"], field);
+        assert!(report["problems"][0]["remedy"].as_str().is_some_and(|it| it.contains(remedy)), "{report}");
+    }
+}
+
+#[test]
 fn an_impossible_set_is_explained_and_a_way_out_is_named() {
     let folder = folder("impossible");
     let channels = [hard("x", 1, "1 ms", 1), hard("y", 2, "1 ms", 1), hard("z", 3, "20 ms", 0)].concat();
