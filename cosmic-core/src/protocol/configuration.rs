@@ -36,7 +36,10 @@ impl Stage {
 
     /// The stage that follows; `None` behind the last.
     pub const fn next(self) -> Option<Self> {
-        if self.0 > 0 { Some(Self(self.0 - 1)) } else { None }
+        match self.0.checked_sub(1) {
+            Some(next) => Some(Self(next)),
+            None => None,
+        }
     }
 
     /// The nibble of `uid` that this stage asks about, 0..=15.
@@ -46,7 +49,7 @@ impl Stage {
 
     /// Where the stage's nibble stands in the 64 bits of a UID.
     pub const fn shift(self) -> u32 {
-        self.0 as u32 * 4
+        (self.0 as u32) << 2
     }
 }
 

@@ -51,7 +51,7 @@ impl Halves {
             |kept: &SupplyEtag| (kept.sender(), kept.requester()) == (frame.sender(), frame.requester());
         let at = self.waiting.iter().position(|place| place.as_ref().is_some_and(same));
         let at = at.or_else(|| self.waiting.iter().position(Option::is_none)).unwrap_or_else(|| {
-            self.oldest = (self.oldest + 1) % Self::PLACES;
+            self.oldest = self.oldest.wrapping_add(1) % Self::PLACES;
             self.oldest
         });
         if let Some(place) = self.waiting.get_mut(at) {

@@ -79,7 +79,7 @@ impl Lease {
 
     /// How long it holds; zero if it withdraws.
     pub const fn duration(self) -> Duration {
-        Duration::from_ticks(LEASE_STEP.as_ticks() * self.0 as u64)
+        Duration::from_ticks(LEASE_STEP.as_ticks().saturating_mul(self.0 as u64))
     }
 
     /// Does it end the interest?

@@ -79,7 +79,10 @@ impl NodeStatus {
 
     /// The sequence number of the status that follows one with this sequence number.
     pub const fn sequence_after(sequence: u8) -> u8 {
-        if sequence == u8::MAX { 1 } else { sequence + 1 }
+        match sequence.checked_add(1) {
+            Some(next) => next,
+            None => 1,
+        }
     }
 
     /// The frame of this message.

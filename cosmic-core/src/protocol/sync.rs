@@ -46,7 +46,7 @@ impl SyncSequence {
 
     /// The number after this one.
     pub const fn next(self) -> Self {
-        Self((self.0 + 1) & 0x0F)
+        Self(self.0.wrapping_add(1) & 0x0F)
     }
 
     /// The number, 0..=15.

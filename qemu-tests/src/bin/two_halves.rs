@@ -378,6 +378,7 @@ mod app {
                 ExceptionKind::SlotSkipped,
                 ExceptionKind::MissedEvent,
                 ExceptionKind::QueueFull,
+                ExceptionKind::EventOverwritten,
             ] {
                 assert_eq!(node.exceptions(kind), 0, "{kind:?}");
             }
