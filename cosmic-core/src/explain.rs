@@ -20,7 +20,7 @@ use crate::network::hard::AttachError;
 use crate::network::id_map::NoPlace;
 use crate::network::soft;
 use crate::services::TooMany;
-use crate::time::sync::{SyncConfig, SyncConfigError};
+use crate::sync::{SyncConfig, SyncConfigError};
 
 /// `Display` of an error without a number in its text, and `Error`.
 macro_rules! explain {

@@ -123,6 +123,7 @@ pub mod plan;
 pub mod protocol;
 mod ring;
 pub mod services;
+pub mod sync;
 pub mod time;
 pub mod uid;
 

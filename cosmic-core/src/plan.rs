@@ -23,7 +23,7 @@
 use crate::calendar::Calendar;
 use crate::can::filter_banks::FilterBank;
 use crate::can::{Etag, TxNode};
-use crate::time::sync::SyncConfig;
+use crate::sync::SyncConfig;
 use crate::uid::{NodeUid, Subject};
 
 /// A node as the plan of its cluster has it: all that a runtime wants to know of it.

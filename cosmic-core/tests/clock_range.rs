@@ -2,7 +2,7 @@
 
 use cosmic_core::can::{Frame, Id, Payload, TxNode};
 use cosmic_core::protocol::{FollowUp, Rank};
-use cosmic_core::time::sync::{ClockEvent, ClockSync, SyncConfig};
+use cosmic_core::sync::{ClockEvent, ClockSync, SyncConfig};
 use cosmic_core::time::{Duration, GlobalInstant, Instant};
 
 const OWN: TxNode = TxNode::new(0x12).unwrap();

@@ -4,7 +4,7 @@
 mod clock_cluster;
 
 use clock_cluster::{Cluster, Environment, MILLISECOND, SECOND};
-use cosmic_core::time::sync::ClockEvent;
+use cosmic_core::sync::ClockEvent;
 use proptest::prelude::*;
 
 const PERIOD: u64 = 100 * MILLISECOND;

@@ -12,7 +12,7 @@ use cosmic_core::event_layer::{
 use cosmic_core::network::hard::{Dispatcher, HrtBuffers, Step as HardStep};
 use cosmic_core::network::soft::RESERVED;
 use cosmic_core::services::{ClockService, Services};
-use cosmic_core::time::sync::SyncConfig;
+use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
 
 const ME: TxNode = TxNode::new(1).unwrap();

@@ -6,7 +6,7 @@ use cosmic_core::event_layer::{Channel, Event, Importance, NonRealTimeAttributes
 use cosmic_core::network::hard::HrtBuffers;
 use cosmic_core::protocol::Rank;
 use cosmic_core::services::{NodeConfig, NodeServices};
-use cosmic_core::time::sync::SyncConfig;
+use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
 use cosmic_core::{EventHalf, Input, NodeUid, Step, Subject};
 

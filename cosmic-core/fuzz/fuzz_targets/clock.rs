@@ -4,7 +4,7 @@
 
 use cosmic_core::can::{Etag, Frame, Id, TxNode};
 use cosmic_core::protocol::Rank;
-use cosmic_core::time::sync::{ClockSync, SyncConfig};
+use cosmic_core::sync::{ClockSync, SyncConfig};
 use cosmic_core_fuzz::{Script, Step, check_wakeup, drain, tx_node};
 use libfuzzer_sys::fuzz_target;
 

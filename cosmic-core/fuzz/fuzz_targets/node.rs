@@ -12,7 +12,7 @@ use cosmic_core::event_layer::{
 use cosmic_core::network::hard::{self, Dispatcher, HrtBuffers};
 use cosmic_core::protocol::Rank;
 use cosmic_core::services::{NodeConfig, NodeServices};
-use cosmic_core::time::sync::SyncConfig;
+use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
 use cosmic_core::event_half::{self, Due, EventHalf, Input, Step as HalfStep, receive};
 use cosmic_core_fuzz::{Script, Step, drain, subject, tx_node, uid};

@@ -4,7 +4,7 @@ use super::{Declaration, NodeView, Request, Services, TooMany};
 use crate::calendar::Calendar;
 use crate::can::{Frame, TxNode};
 use crate::event_layer::ExceptionKind;
-use crate::time::sync::{ClockEvent, ClockSync, SyncConfig, SyncConfigError, SyncCounters};
+use crate::sync::{ClockEvent, ClockSync, SyncConfig, SyncConfigError, SyncCounters};
 use crate::time::{Duration, GlobalClock, Instant};
 
 /// Clock synchronisation alone: for a cluster whose ids and etags are all fixed.

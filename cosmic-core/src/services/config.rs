@@ -6,8 +6,8 @@ use crate::can::TxNode;
 use crate::client::{BindingTiming, ConfigurationEvent, ConfigurationTiming, OnDuplicate};
 use crate::membership::{InterestEvent, MemberEvent};
 use crate::protocol::Lease;
+use crate::sync::{ClockEvent, SyncConfig};
 use crate::time::Duration;
-use crate::time::sync::{ClockEvent, SyncConfig};
 use crate::uid::NodeUid;
 
 /// What a node must know to take part in all services.

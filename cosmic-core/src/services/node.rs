@@ -9,7 +9,7 @@ use crate::membership::{Declarations, Health, Interests, MemberEvent, Members, S
 use crate::protocol::{Class, LayoutHash, NodeState, Output, Side};
 use crate::ring::Ring;
 use crate::services::ClockService;
-use crate::time::sync::SyncConfigError;
+use crate::sync::SyncConfigError;
 use crate::time::{Duration, Instant};
 use crate::uid::Subject;
 

@@ -11,9 +11,11 @@
 //! no panic path. [`Duration`] is `fugit`'s, and converts to and from any other unit.
 
 mod clock;
-mod rate;
-pub mod sync;
+pub(crate) mod rate;
 
+// The former path, which goes when nothing names it any more.
+#[doc(hidden)]
+pub use crate::sync;
 pub use clock::{GlobalClock, Uncertainty};
 pub use rate::{Rate, RateChange};
 

@@ -59,7 +59,7 @@ impl Rate {
 
 /// `nanoseconds` times a fraction in units of 2⁻³², rounded down. No sum overflows below 2³⁰ units.
 #[inline]
-pub(super) const fn gain(fraction: i32, nanoseconds: i64) -> i64 {
+pub(crate) const fn gain(fraction: i32, nanoseconds: i64) -> i64 {
     let high = (nanoseconds >> 32) * fraction as i64;
     let low = ((nanoseconds as u32 as i64) * fraction as i64) >> 32;
     high + low
@@ -95,7 +95,7 @@ impl RateChange {
 
     /// The largest change of the rate in a span, in units of 2⁻³², rounded up.
     #[inline]
-    pub(super) const fn over(self, span: Duration) -> i32 {
+    pub(crate) const fn over(self, span: Duration) -> i32 {
         let span = if span.as_ticks() < Self::LONGEST { span.as_ticks() } else { Self::LONGEST };
         // 22 bits times 26 bits, less 20.
         ((self.0 as u64 * ((span >> 10) + 1)) >> 20) as i32 + 1

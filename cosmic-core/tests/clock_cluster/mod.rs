@@ -2,7 +2,7 @@
 
 use cosmic_core::can::{Frame, TxNode};
 use cosmic_core::protocol::{FollowUp, Rank};
-use cosmic_core::time::sync::{ClockEvent, ClockSync, SyncConfig};
+use cosmic_core::sync::{ClockEvent, ClockSync, SyncConfig};
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
 
 pub(crate) const MILLISECOND: u64 = 1_000_000;

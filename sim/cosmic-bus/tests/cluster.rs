@@ -11,7 +11,7 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::protocol::Rank;
 use cosmic_core::services::ClockService;
-use cosmic_core::time::sync::SyncConfig;
+use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant, Rate};
 use std::cell::RefCell;
 use std::rc::Rc;

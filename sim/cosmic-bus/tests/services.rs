@@ -13,7 +13,7 @@ use cosmic_core::event_layer::{
 use cosmic_core::membership::{InterestEvent, MemberEvent};
 use cosmic_core::protocol::Rank;
 use cosmic_core::services::{self, News, NodeServices, Services};
-use cosmic_core::time::sync::SyncConfig;
+use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant, Rate};
 use cosmic_core::{NodeUid, Subject};
 use std::cell::RefCell;

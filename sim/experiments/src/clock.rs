@@ -21,7 +21,7 @@ use cosmic_core::can::{BitRate, Etag, TxNode};
 use cosmic_core::event_layer::{Channel, Event, Publication, SoftAttributes};
 use cosmic_core::protocol::Rank;
 use cosmic_core::services::ClockService;
-use cosmic_core::time::sync::SyncConfig;
+use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant, Rate};
 use serde::Serialize;
 use std::fmt;

@@ -21,7 +21,7 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::protocol::Rank;
 use cosmic_core::services::{self, ClockService, NodeServices, Services};
-use cosmic_core::time::sync::SyncConfig;
+use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant, Rate};
 use cosmic_core::{NodeUid, Subject};
 use cpu_time::ProcessTime;

@@ -8,7 +8,7 @@ use crate::units::show;
 use cosmic_core::calendar::{Calendar, Segment};
 use cosmic_core::can::{BitRate, LONGEST_FRAME_BITS};
 use cosmic_core::time::Duration;
-use cosmic_core::time::sync::{SyncConfig, SyncConfigError};
+use cosmic_core::sync::{SyncConfig, SyncConfigError};
 
 impl Checker<'_> {
     pub(super) fn segment(&self, table: &SegmentTable) -> (Segment, Duration) {

@@ -153,7 +153,7 @@ fn duration(span: Duration) -> String {
 
 const CORE: &str = "::cosmic_core";
 const DURATION: &str = "::cosmic_core::time::Duration";
-const SYNC_CONFIG: &str = "::cosmic_core::time::sync::SyncConfig";
+const SYNC_CONFIG: &str = "::cosmic_core::sync::SyncConfig";
 
 /// From here on the compiler thinks that its check of the calendar takes long.
 const MANY_SLOTS: usize = 150;

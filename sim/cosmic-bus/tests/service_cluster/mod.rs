@@ -13,7 +13,7 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::protocol::{Lease, Rank};
 use cosmic_core::services::{self, NodeServices};
-use cosmic_core::time::sync::SyncConfig;
+use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant, Rate};
 use cosmic_core::{NodeUid, Subject};
 use embedded_can::{ExtendedId, Id};

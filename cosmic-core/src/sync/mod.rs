@@ -74,7 +74,7 @@ use master::Mastership;
 /// ```
 /// use cosmic_core::can::TxNode;
 /// use cosmic_core::protocol::Rank;
-/// use cosmic_core::time::sync::{ClockSync, SyncConfig};
+/// use cosmic_core::sync::{ClockSync, SyncConfig};
 /// use cosmic_core::time::{Duration, Instant};
 ///
 /// let config = SyncConfig { rank: Some(Rank::FIRST), ..SyncConfig::DEFAULT };
@@ -89,7 +89,7 @@ use master::Mastership;
 /// sync.on_sent(&frame, Instant::EPOCH + Duration::from_micros(800_160));
 /// let follow_up = sync.poll(Instant::EPOCH + Duration::from_micros(800_170)).unwrap();
 /// assert_eq!(follow_up.payload.as_slice(), [0, 0, 0, 0, 0x2F, 0xB1, 0x79, 0x00]);
-/// # Ok::<(), cosmic_core::time::sync::SyncConfigError>(())
+/// # Ok::<(), cosmic_core::sync::SyncConfigError>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct ClockSync {
