@@ -12,7 +12,8 @@
 //!
 //! 1. Feed every received frame to `on_frame`, and only received ones: a node does not hear itself. The
 //!    exception is a node that hosts a broker: what its broker sends must also be fed to its own
-//!    `Binding`, and what its `Binding` sends to its own broker.
+//!    `Binding`, and what its `Binding` and its
+//!    [`Declarations`](crate::membership::Declarations) send to its own broker.
 //! 2. After that and after any other call that changes something, and when `next_wakeup` is due, call
 //!    `poll` until it returns `None`, or stop while the node's transmit queue is full, and go on when it
 //!    has room. When `poll` has returned `None`, the next wake-up lies ahead; before that it may not.
