@@ -413,3 +413,23 @@ fn the_priority_step_of_the_calendar_is_that_of_the_node() {
     assert_eq!(priority(&COARSE), Priority::new(1 + 5));
     assert_eq!(CALENDAR.digest(), COARSE.digest());
 }
+
+/// A frame that comes shortly before its slot, by an accident or an attack, does not cost the event of the slot.
+#[test]
+fn an_early_frame_is_not_the_first_copy_of_the_event() {
+    let mut half = node();
+    let mut dispatcher = Dispatcher::new(&CALENDAR);
+    let subscription = half.subscribe(&hard(1), Filter::ALL, fifo(2)).unwrap();
+    let frame = |value| {
+        let id = Id::new(Priority::HARD, OTHER, Etag::new(101).unwrap());
+        Frame::new(id, Payload::new(&[0, value]).unwrap())
+    };
+    run(&mut half, &mut dispatcher, at(0));
+    // The slot is ready at 4 ms.
+    assert_eq!(receive(&frame(1), at(3_900), half.hard_mut()), None);
+    run(&mut half, &mut dispatcher, at(4_000));
+    assert_eq!(receive(&frame(2), at(4_200), half.hard_mut()), None);
+    run(&mut half, &mut dispatcher, at(5_000));
+    assert_eq!(half.next(&subscription).map(|event| event.content), Some(2));
+    assert_eq!(half.exceptions(ExceptionKind::MissedEvent), 0);
+}

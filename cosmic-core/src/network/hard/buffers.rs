@@ -491,6 +491,14 @@ impl Buffer {
         arrived || open
     }
 
+    /// The window has opened: what arrived before is of no slot, and must not pass for the first copy of what is to
+    /// come.
+    pub(super) fn forget_early(&mut self, opened: Instant) {
+        if self.arriving.take_if(|(_, received_at)| *received_at < opened).is_some() {
+            self.counters.untimely = self.counters.untimely.wrapping_add(1);
+        }
+    }
+
     /// Makes what arrived since `opened` visible. Says whether there was anything.
     pub(super) fn deliver(&mut self, opened: Instant, delivered_at: GlobalInstant) -> bool {
         let Some((payload, received_at)) = self.arriving.take() else { return false };

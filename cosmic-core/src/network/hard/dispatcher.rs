@@ -194,6 +194,7 @@ impl<const N: usize> Dispatcher<N> {
         }
         let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) else { return Step::Continue };
         self.leave(slot, buffer.role.subscribes);
+        buffer.forget_early(self.next.wake.saturating_sub(self.gap));
         // What could not be sent in its slot is stale in the next.
         let fresh = core::mem::take(&mut buffer.fresh);
         if !buffer.role.publishes || !(fresh || slot.periodic) {
