@@ -78,14 +78,14 @@ pub struct Background {
 }
 
 impl Background {
-    /// A load that brings a bus of this bit rate to `target` as a whole. All its choices follow from the
-    /// seed.
-    pub fn new(bit_rate: BitRate, target: Share, seed: u64) -> Self {
+    /// A load that brings a bus of this bit rate to `target` as a whole, with priorities as the nodes have
+    /// them. All its choices follow from the seed.
+    pub fn new(bit_rate: BitRate, map: PriorityMap, target: Share, seed: u64) -> Self {
         Self {
             target,
             bit_time: bit_rate.bit_time(),
             random: Pcg64Mcg::seed_from_u64(seed ^ SEED),
-            etch: Etch::new(PriorityMap::of(bit_rate)),
+            etch: Etch::new(map),
             queued: 0,
             arrivals: VecDeque::new(),
             plans_at: VirtualInstant::from_ticks(0),
@@ -271,7 +271,7 @@ mod tests {
         let station = bus.attach("background");
         // Somebody must acknowledge.
         bus.attach("listener");
-        let mut background = Background::new(BitRate::MAX, target, seed);
+        let mut background = Background::new(BitRate::MAX, PriorityMap::of(BitRate::MAX), target, seed);
         let (mut events, mut commands) = (Vec::new(), Vec::new());
         while bus.now() < until {
             let next = background.plans_at().min(background.acts_at()).min(until);

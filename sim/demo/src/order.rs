@@ -6,8 +6,8 @@
 //! the mailbox while a more urgent event waits behind it.
 
 use cosmic_bus::VirtualInstant;
-use cosmic_core::can::{BitRate, Frame, Priority, TxNode};
-use cosmic_core::network::soft::PriorityMap;
+use cosmic_core::calendar::Calendar;
+use cosmic_core::can::{Frame, Priority, TxNode};
 
 use crate::bus_log::is_soft;
 use crate::journal::Journal;
@@ -41,8 +41,8 @@ pub struct Inversion {
 }
 
 /// How much less urgent a frame may be than one that waits: two steps of the priority field.
-pub fn bound(bit_rate: BitRate) -> Span {
-    let step = Span::from(PriorityMap::of(bit_rate).step());
+pub fn bound(calendar: &Calendar) -> Span {
+    let step = Span::from(calendar.priority_step());
     step + step
 }
 
@@ -59,13 +59,13 @@ fn between_nodes(journal: &Journal, ledger: &Ledger, order: &mut Order) {
         Some(life) => life.deadline,
         None => journal.background.deadline(frame),
     };
-    let bound = bound(journal.bit_rate);
+    let bound = bound(journal.cluster.calendar);
     for contest in journal.bus.contests() {
         let Some(attempt) = journal.bus.attempts().get(contest.winner) else { continue };
         let Some(winner) = attempt.frame() else { continue };
         let Some((won, lost)) = deadline_of(&winner).zip(deadline_of(&contest.loser)) else { continue };
         order.contests += 1;
-        let remaining = |deadline| remaining(journal.bit_rate, attempt.start, deadline);
+        let remaining = |deadline| remaining(journal.cluster.calendar, attempt.start, deadline);
         let by = remaining(won) - remaining(lost);
         order.worst = Some(order.worst.map_or(by, |worst| worst.max(by)));
         if by > bound {
@@ -76,14 +76,14 @@ fn between_nodes(journal: &Journal, ledger: &Ledger, order: &mut Order) {
 }
 
 /// The time left until a deadline, as far as the priority field can show it.
-fn remaining(bit_rate: BitRate, now: VirtualInstant, deadline: VirtualInstant) -> Span {
+fn remaining(calendar: &Calendar, now: VirtualInstant, deadline: VirtualInstant) -> Span {
     let steps = i64::from(Priority::SOFT_LEAST_URGENT.get() - Priority::SOFT_MOST_URGENT.get());
-    let step = Span::from(PriorityMap::of(bit_rate).step()).as_nanos();
+    let step = Span::from(calendar.priority_step()).as_nanos();
     Span::between(now, deadline).clamp(Span::ZERO, Span::from_nanos(steps * step))
 }
 
 fn within_nodes(journal: &Journal, ledger: &Ledger, order: &mut Order) {
-    let bound = bound(journal.bit_rate);
+    let bound = bound(journal.cluster.calendar);
     for node in &journal.cluster.nodes {
         let queue = Queue::of(ledger, node.tx_node);
         for load in journal.bus.loads().iter().filter(|load| is_soft(load.frame.id)) {

@@ -236,7 +236,7 @@ impl Report {
                 contests: verdict.order.contests,
                 choices: verdict.order.choices,
                 worst_us: verdict.order.worst,
-                bound_us: order::bound(journal.bit_rate),
+                bound_us: order::bound(journal.cluster.calendar),
                 inversions: verdict.order.inversions.len(),
             },
             bus: bus(journal),

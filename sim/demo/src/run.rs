@@ -10,6 +10,7 @@ use cosmic_bus::{
     BitPosition, Bus, Chance, EventKind, Fault, FaultModel, Filter, Rule, VirtualInstant, WireFrame,
 };
 use cosmic_core::can::{Command, Id, Priority, TxNode};
+use cosmic_core::network::soft::PriorityMap;
 use cosmic_core::time::{Duration, Instant};
 use embedded_can::ExtendedId;
 use thiserror::Error;
@@ -146,7 +147,8 @@ impl<W: io::Write> Run<W> {
             let (name, tx_node, records) = (node.name, node.tx_node, Records::default());
             nodes.push(Observed { id, name, tx_node, records, first: None });
         }
-        let background = Rc::new(RefCell::new(Background::new(bit_rate, plan.load, plan.seed)));
+        let map = PriorityMap::of_calendar(example.calendar);
+        let background = Rc::new(RefCell::new(Background::new(bit_rate, map, plan.load, plan.seed)));
         cluster.add_station(
             "background",
             Box::new(Loading { background: background.clone(), commands: vec![] }),
