@@ -13,7 +13,7 @@ fuzz_target!(|bytes: &[u8]| {
     while let Some(step) = script.next() {
         let now = script.now;
         match step {
-            Step::Frame(frame) => client.on_frame(now, &frame),
+            Step::Frame(frame) => client.on_frame(&frame, now),
             Step::Call(0..=9, of) => _ = client.bind(subject(of)),
             Step::Call(10..=19, of) => client.set_tx_node(tx_node(of)),
             Step::Call(20..=24, of) => client.forget(subject(of)),

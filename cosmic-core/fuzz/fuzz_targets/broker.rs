@@ -18,7 +18,7 @@ fuzz_target!(|bytes: &[u8]| {
     while let Some(step) = script.next() {
         let now = script.now;
         match step {
-            Step::Frame(frame) => broker.on_frame(now, &frame),
+            Step::Frame(frame) => broker.on_frame(&frame, now),
             Step::Call(0..=9, of) => {
                 host_id = tx_node(of);
                 broker.set_tx_node(now, host_id);

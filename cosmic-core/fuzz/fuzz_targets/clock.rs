@@ -29,7 +29,7 @@ fuzz_target!(|bytes: &[u8]| {
         }
         drain(now, || clock.poll(now), |frame| sent.push(frame));
         while clock.poll_event().is_some() {}
-        check_wakeup(now, Some(clock.next_wakeup()));
+        check_wakeup(now, clock.next_wakeup());
         let global = clock.clock();
         let _ = (global.to_local(global.to_global(now)), global.accuracy(now), global.rate_error(now));
     }

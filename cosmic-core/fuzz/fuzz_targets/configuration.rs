@@ -17,7 +17,7 @@ fuzz_target!(|bytes: &[u8]| {
     while let Some(step) = script.next() {
         let now = script.now;
         match step {
-            Step::Frame(frame) => client.on_frame(now, &frame),
+            Step::Frame(frame) => client.on_frame(&frame, now),
             Step::Call(0, _) => client.release(),
             Step::Call(..) | Step::Pause => {}
         }

@@ -18,9 +18,9 @@ fuzz_target!(|bytes: &[u8]| {
         let now = script.now;
         match step {
             Step::Frame(frame) => {
-                let _ = members.on_frame(now, &frame);
-                let _ = interests.on_frame(now, &frame);
-                let _ = declarations.on_frame(now, &frame);
+                let _ = members.on_frame(&frame, now);
+                let _ = interests.on_frame(&frame, now);
+                let _ = declarations.on_frame(&frame, now);
             }
             Step::Call(0..=9, of) => declarations.set_tx_node(now, tx_node(of)),
             Step::Call(10..=19, of) => {

@@ -4,7 +4,10 @@
 
 use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
 use cosmic_core::calendar::{Calendar, Segment, Slot};
-use cosmic_core::can::{BitRate, Command, ErrorCounters, Etag, Frame, Id, Mailbox, Outcome, Priority, TxNode};
+use cosmic_core::can::{
+    BitRate, Command, ErrorCounters, Etag, Frame, Id, Mailbox, Outcome, Priority, TxNode,
+};
+use cosmic_core::event_half::{self, Due, EventHalf, Input, Step as HalfStep, receive};
 use cosmic_core::event_layer::{
     Channel, Depth, Event, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy, Publication,
     SoftAttributes, Subscription,
@@ -14,7 +17,6 @@ use cosmic_core::protocol::Rank;
 use cosmic_core::services::{NodeConfig, NodeServices};
 use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core::event_half::{self, Due, EventHalf, Input, Step as HalfStep, receive};
 use cosmic_core_fuzz::{Script, Step, drain, subject, tx_node, uid};
 use libfuzzer_sys::fuzz_target;
 
@@ -85,7 +87,12 @@ impl Node {
             .then(|| Broker::new(uid(first), BrokerTiming::DEFAULT, Nodes::new(), Subjects::new()));
         let services = Services::new(&config, &CALENDAR, broker, Instant::EPOCH).unwrap();
         Self {
-            half: EventHalf::new(config.tx_node, &CALENDAR, services, HrtBuffers::new(GlobalClock::unsynchronised())),
+            half: EventHalf::new(
+                config.tx_node,
+                &CALENDAR,
+                services,
+                HrtBuffers::new(GlobalClock::unsynchronised()),
+            ),
             dispatcher: Dispatcher::new(&CALENDAR),
             mailboxes: [const { None }; 3],
             publications: Vec::new(),

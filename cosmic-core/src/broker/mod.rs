@@ -208,7 +208,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     }
 
     /// Takes a received frame; control messages and all others, which are [events](Self::on_event).
-    pub fn on_frame(&mut self, now: Instant, frame: &Frame) {
+    pub fn on_frame(&mut self, frame: &Frame, now: Instant) {
         if self.state == State::Off {
             return;
         }
@@ -283,7 +283,11 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     }
 
     /// When `poll` must be called even if no frame arrives.
-    pub fn next_wakeup(&self) -> Option<Instant> {
+    pub fn next_wakeup(&self) -> Instant {
+        self.due_at().unwrap_or(Instant::FAR_FUTURE)
+    }
+
+    fn due_at(&self) -> Option<Instant> {
         let of_state = match self.state {
             State::Off => return None,
             State::Listening { until, probe_at } => Some(probe_at.min(until + self.rank_delay())),

@@ -222,7 +222,7 @@ impl<const N: usize> Binding<N> {
     }
 
     /// Takes a received frame.
-    pub fn on_frame(&mut self, now: Instant, frame: &Frame) {
+    pub fn on_frame(&mut self, frame: &Frame, now: Instant) {
         match frame.id.etag() {
             Etag::SUPPLY_ETAG => {
                 let half = SupplyEtag::decode(frame);
@@ -255,7 +255,11 @@ impl<const N: usize> Binding<N> {
     }
 
     /// When `poll` must be called even if no frame arrives.
-    pub fn next_wakeup(&self) -> Option<Instant> {
+    pub fn next_wakeup(&self) -> Instant {
+        self.due_at().unwrap_or(Instant::FAR_FUTURE)
+    }
+
+    fn due_at(&self) -> Option<Instant> {
         self.tx_node?; // without it nothing can be asked
         let claim = self.probed.then_some(self.claim_at);
         if let Some(asked) = self.asked {

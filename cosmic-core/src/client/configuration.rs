@@ -161,7 +161,7 @@ impl Configuration {
     }
 
     /// Takes a received frame.
-    pub fn on_frame(&mut self, now: Instant, frame: &Frame) {
+    pub fn on_frame(&mut self, frame: &Frame, now: Instant) {
         match frame.id.etag() {
             Etag::CONFIGURATION_REPLY => {
                 if let Some(reply) = ConfigurationReply::decode(frame) {
@@ -200,7 +200,11 @@ impl Configuration {
     }
 
     /// When `poll` must be called even if no frame arrives.
-    pub fn next_wakeup(&self) -> Option<Instant> {
+    pub fn next_wakeup(&self) -> Instant {
+        self.due_at().unwrap_or(Instant::FAR_FUTURE)
+    }
+
+    fn due_at(&self) -> Option<Instant> {
         [self.wakes_at(), self.answer_at].into_iter().flatten().min()
     }
 

@@ -94,7 +94,7 @@ impl<const N: usize> Declarations<N> {
 
     /// Takes a received frame. Returns what another node's interest contradicts, once for each node in
     /// turn.
-    pub fn on_frame(&mut self, now: Instant, frame: &Frame) -> Option<LayoutMismatch> {
+    pub fn on_frame(&mut self, frame: &Frame, now: Instant) -> Option<LayoutMismatch> {
         match frame.id.etag() {
             Etag::INTEREST => self.on_interest(&Interest::decode(frame)?),
             Etag::PROBE => {
@@ -122,9 +122,11 @@ impl<const N: usize> Declarations<N> {
     }
 
     /// When `poll` must be called even if no frame arrives.
-    pub fn next_wakeup(&self) -> Option<Instant> {
-        self.tx_node?;
-        self.entries.iter().flatten().map(|entry| entry.send_at).min()
+    pub fn next_wakeup(&self) -> Instant {
+        if self.tx_node.is_none() {
+            return Instant::FAR_FUTURE;
+        }
+        self.entries.iter().flatten().map(|entry| entry.send_at).fold(Instant::FAR_FUTURE, Instant::min)
     }
 
     fn on_interest(&mut self, interest: &Interest) -> Option<LayoutMismatch> {
@@ -209,12 +211,12 @@ mod tests {
     fn interest_is_refreshed_at_a_third_of_its_lease_and_withdrawn_once() {
         let mut declarations = declared(7);
         assert_eq!(sent(&mut declarations, at(0)).len(), 1);
-        assert_eq!(declarations.next_wakeup(), Some(at(1000)));
+        assert_eq!(declarations.next_wakeup(), at(1000));
         assert_eq!(sent(&mut declarations, at(999)), []);
         assert_eq!(sent(&mut declarations, at(1000)).len(), 1);
         declarations.withdraw(at(1100), ETAG, Side::Subscriber);
         assert!(sent(&mut declarations, at(1100))[0].lease.is_withdrawn());
-        assert_eq!(declarations.next_wakeup(), None);
+        assert_eq!(declarations.next_wakeup(), Instant::FAR_FUTURE);
     }
 
     #[test]
@@ -225,7 +227,7 @@ mod tests {
             declarations.declare(at(0), Etag::BOUND_FIRST, Side::Publisher, Class::Soft, LayoutHash::new(1));
         assert_eq!(third, Err(DeclarationsFull));
         assert_eq!(sent(&mut declarations, at(0)).len(), 2);
-        assert_eq!(declarations.on_frame(at(10), &Probe { tx_node: OTHER }.encode()), None);
+        assert_eq!(declarations.on_frame(&Probe { tx_node: OTHER }.encode(), at(10)), None);
         assert_eq!(sent(&mut declarations, at(10)).len(), 2);
     }
 
@@ -234,27 +236,24 @@ mod tests {
         let mut declarations = declared(7);
         let mut answers = 0;
         for now in 0..2000 {
-            let _ = declarations.on_frame(at(now), &Probe { tx_node: OTHER }.encode());
+            let _ = declarations.on_frame(&Probe { tx_node: OTHER }.encode(), at(now));
             answers += sent(&mut declarations, at(now)).len();
         }
         assert_eq!(answers, 10);
         // The last of them is not forgotten.
-        assert_eq!(
-            (declarations.next_wakeup(), sent(&mut declarations, at(2000)).len()),
-            (Some(at(2000)), 1)
-        );
+        assert_eq!((declarations.next_wakeup(), sent(&mut declarations, at(2000)).len()), (at(2000), 1));
     }
 
     #[test]
     fn another_layout_is_told_once() {
         let mut declarations = declared(7);
-        let mismatch = declarations.on_frame(at(0), &theirs(8, Lease::MIN)).unwrap();
+        let mismatch = declarations.on_frame(&theirs(8, Lease::MIN), at(0)).unwrap();
         assert_eq!((mismatch.tx_node, mismatch.theirs), (OTHER, LayoutHash::new(8)));
-        assert_eq!(declarations.on_frame(at(1), &theirs(8, Lease::MIN)), None);
+        assert_eq!(declarations.on_frame(&theirs(8, Lease::MIN), at(1)), None);
         // It was mended, and then broken again.
-        assert_eq!(declarations.on_frame(at(2), &theirs(7, Lease::MIN)), None);
-        assert!(declarations.on_frame(at(3), &theirs(8, Lease::MIN)).is_some());
-        assert_eq!(declarations.on_frame(at(4), &theirs(9, Lease::WITHDRAWN)), None);
+        assert_eq!(declarations.on_frame(&theirs(7, Lease::MIN), at(2)), None);
+        assert!(declarations.on_frame(&theirs(8, Lease::MIN), at(3)).is_some());
+        assert_eq!(declarations.on_frame(&theirs(9, Lease::WITHDRAWN), at(4)), None);
     }
 
     #[test]
@@ -262,7 +261,7 @@ mod tests {
         let (mut one, mut other) = (declared(7), declared(8));
         other.set_tx_node(at(0), Some(OTHER));
         let (to_other, to_one) = (one.poll(at(0)).unwrap(), other.poll(at(0)).unwrap());
-        let mismatches = [one.on_frame(at(1), &to_one), other.on_frame(at(1), &to_other)];
+        let mismatches = [one.on_frame(&to_one, at(1)), other.on_frame(&to_other, at(1))];
         assert_eq!(mismatches.map(|mismatch| mismatch.map(|of| of.tx_node)), [Some(OTHER), Some(ME)]);
     }
 
@@ -271,7 +270,7 @@ mod tests {
         let mut declarations = declared(7);
         declarations.set_tx_node(at(0), None);
         assert_eq!(sent(&mut declarations, at(5000)), []);
-        assert_eq!(declarations.next_wakeup(), None);
+        assert_eq!(declarations.next_wakeup(), Instant::FAR_FUTURE);
         declarations.set_tx_node(at(6000), Some(OTHER));
         assert_eq!(sent(&mut declarations, at(6000))[0].tx_node, OTHER);
     }

@@ -67,7 +67,7 @@ impl<const N: usize> Interests<N> {
     }
 
     /// Takes a received frame.
-    pub fn on_frame(&mut self, now: Instant, frame: &Frame) -> Option<InterestEvent> {
+    pub fn on_frame(&mut self, frame: &Frame, now: Instant) -> Option<InterestEvent> {
         let interest = Interest::decode(frame)?;
         let Interest { tx_node, etag, side, lease, .. } = interest;
         if lease.is_withdrawn() {
@@ -113,8 +113,8 @@ impl<const N: usize> Interests<N> {
 
     /// When `poll` must be called even if no frame arrives. A lease that was refreshed may have it called for
     /// nothing, once.
-    pub fn next_wakeup(&self) -> Option<Instant> {
-        (self.first_expiry < Instant::FAR_FUTURE).then_some(self.first_expiry)
+    pub const fn next_wakeup(&self) -> Instant {
+        self.first_expiry
     }
 
     fn remove(&mut self, at: usize) -> Option<InterestEvent> {
@@ -158,10 +158,10 @@ mod tests {
     #[test]
     fn interest_lives_as_long_as_its_last_lease() {
         let mut interests = Interests::<4>::new();
-        assert_eq!(interests.on_frame(at(0), &frame(1, ETAG, Some(1000))), BEGUN);
-        assert_eq!(interests.on_frame(at(0), &frame(2, ETAG, Some(3000))), None);
-        assert_eq!(interests.next_wakeup(), Some(at(1000)));
-        assert_eq!(interests.on_frame(at(900), &frame(1, ETAG, Some(1000))), None, "refreshed");
+        assert_eq!(interests.on_frame(&frame(1, ETAG, Some(1000)), at(0)), BEGUN);
+        assert_eq!(interests.on_frame(&frame(2, ETAG, Some(3000)), at(0)), None);
+        assert_eq!(interests.next_wakeup(), at(1000));
+        assert_eq!(interests.on_frame(&frame(1, ETAG, Some(1000)), at(900)), None, "refreshed");
         assert_eq!(interests.poll(at(1899)), None);
         assert_eq!(interests.nodes(ETAG, Side::Subscriber).count(), 2);
         assert_eq!(interests.poll(at(1900)), None, "one is left");
@@ -169,16 +169,16 @@ mod tests {
         assert_eq!(interests.poll(at(3000)), ENDED);
         assert_eq!(interests.poll(at(3000)), None);
         assert!(!interests.is_wanted(ETAG));
-        assert_eq!(interests.next_wakeup(), None);
+        assert_eq!(interests.next_wakeup(), Instant::FAR_FUTURE);
     }
 
     #[test]
     fn interest_ends_when_it_is_withdrawn_or_its_node_leaves() {
         let mut interests = Interests::<4>::new();
-        let _ = interests.on_frame(at(0), &frame(1, ETAG, Some(1000)));
-        assert_eq!(interests.on_frame(at(1), &frame(1, ETAG, None)), ENDED);
-        assert_eq!(interests.on_frame(at(2), &frame(1, ETAG, None)), None, "nothing to withdraw");
-        let _ = interests.on_frame(at(3), &frame(1, ETAG, Some(1000)));
+        let _ = interests.on_frame(&frame(1, ETAG, Some(1000)), at(0));
+        assert_eq!(interests.on_frame(&frame(1, ETAG, None), at(1)), ENDED);
+        assert_eq!(interests.on_frame(&frame(1, ETAG, None), at(2)), None, "nothing to withdraw");
+        let _ = interests.on_frame(&frame(1, ETAG, Some(1000)), at(3));
         interests.on_node_left(at(4), TxNode::new(1).unwrap());
         assert_eq!(interests.poll(at(4)), ENDED);
     }
@@ -186,8 +186,8 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_counted() {
         let mut interests = Interests::<1>::new();
-        assert_eq!(interests.on_frame(at(0), &frame(1, ETAG, Some(1000))), BEGUN);
-        assert_eq!(interests.on_frame(at(0), &frame(2, ETAG, Some(1000))), None);
+        assert_eq!(interests.on_frame(&frame(1, ETAG, Some(1000)), at(0)), BEGUN);
+        assert_eq!(interests.on_frame(&frame(2, ETAG, Some(1000)), at(0)), None);
         assert_eq!(interests.overflows(), 1);
     }
 }

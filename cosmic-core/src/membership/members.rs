@@ -60,7 +60,7 @@ impl<const N: usize> Members<N> {
     }
 
     /// Takes a received frame.
-    pub fn on_frame(&mut self, now: Instant, frame: &Frame) -> Option<MemberEvent> {
+    pub fn on_frame(&mut self, frame: &Frame, now: Instant) -> Option<MemberEvent> {
         let status = NodeStatus::decode(frame)?;
         let tx_node = status.tx_node;
         let of_node = |place: &Option<Member>| place.is_some_and(|member| member.status.tx_node == tx_node);
@@ -97,8 +97,8 @@ impl<const N: usize> Members<N> {
 
     /// When `poll` must be called even if no frame arrives. A node that was heard since may have it called
     /// for nothing, once.
-    pub fn next_wakeup(&self) -> Option<Instant> {
-        (self.first_silence < Instant::FAR_FUTURE).then_some(self.first_silence)
+    pub const fn next_wakeup(&self) -> Instant {
+        self.first_silence
     }
 
     fn remove(&mut self, at: usize) -> Option<TxNode> {
@@ -136,42 +136,42 @@ mod tests {
     #[test]
     fn a_node_joins_falls_silent_and_joins_again() {
         let mut members = Members::<2>::new(Duration::from_secs(3));
-        assert_eq!(members.on_frame(at(0), &FIRST.encode()), Some(MemberEvent::Joined(NODE)));
-        assert_eq!(members.on_frame(at(1000), &later(1, 1)), None);
-        assert_eq!(members.next_wakeup(), Some(at(3000)), "for nothing");
+        assert_eq!(members.on_frame(&FIRST.encode(), at(0)), Some(MemberEvent::Joined(NODE)));
+        assert_eq!(members.on_frame(&later(1, 1), at(1000)), None);
+        assert_eq!(members.next_wakeup(), at(3000), "for nothing");
         assert_eq!(members.poll(at(3000)), None);
-        assert_eq!(members.next_wakeup(), Some(at(4000)));
+        assert_eq!(members.next_wakeup(), at(4000));
         assert_eq!(members.poll(at(3999)), None);
         assert_eq!(members.poll(at(4000)), Some(MemberEvent::Silent(NODE)));
         assert_eq!(members.status_of(NODE), None);
-        assert_eq!(members.on_frame(at(5000), &later(5, 5)), Some(MemberEvent::Joined(NODE)));
+        assert_eq!(members.on_frame(&later(5, 5), at(5000)), Some(MemberEvent::Joined(NODE)));
         let last = NodeStatus { state: NodeState::Leaving, ..FIRST };
-        assert_eq!(members.on_frame(at(6000), &last.encode()), Some(MemberEvent::Left(NODE)));
-        assert_eq!(members.on_frame(at(6001), &last.encode()), None);
+        assert_eq!(members.on_frame(&last.encode(), at(6000)), Some(MemberEvent::Left(NODE)));
+        assert_eq!(members.on_frame(&last.encode(), at(6001)), None);
     }
 
     #[test]
     fn a_restart_is_seen_by_its_sequence_or_by_its_uptime() {
         let mut members = Members::<2>::new(Duration::from_secs(3));
         let restarted = Some(MemberEvent::Restarted(NODE));
-        let _ = members.on_frame(at(0), &FIRST.encode());
-        assert_eq!(members.on_frame(at(1), &FIRST.encode()), None, "the same frame again");
-        assert_eq!(members.on_frame(at(1000), &later(1, 1)), None);
-        assert_eq!(members.on_frame(at(1500), &FIRST.encode()), restarted);
-        assert_eq!(members.on_frame(at(2500), &later(1, 1)), None);
+        let _ = members.on_frame(&FIRST.encode(), at(0));
+        assert_eq!(members.on_frame(&FIRST.encode(), at(1)), None, "the same frame again");
+        assert_eq!(members.on_frame(&later(1, 1), at(1000)), None);
+        assert_eq!(members.on_frame(&FIRST.encode(), at(1500)), restarted);
+        assert_eq!(members.on_frame(&later(1, 1), at(2500)), None);
         // The first status of the new life was lost.
-        assert_eq!(members.on_frame(at(4000), &later(1, 0)), restarted);
+        assert_eq!(members.on_frame(&later(1, 0), at(4000)), restarted);
         // It dies again and again before its second status.
-        assert_eq!(members.on_frame(at(5000), &FIRST.encode()), restarted);
-        assert_eq!(members.on_frame(at(5100), &FIRST.encode()), restarted);
+        assert_eq!(members.on_frame(&FIRST.encode(), at(5000)), restarted);
+        assert_eq!(members.on_frame(&FIRST.encode(), at(5100)), restarted);
     }
 
     #[test]
     fn what_does_not_fit_is_counted() {
         let mut members = Members::<1>::new(Duration::from_secs(3));
-        let _ = members.on_frame(at(0), &FIRST.encode());
+        let _ = members.on_frame(&FIRST.encode(), at(0));
         let other = NodeStatus { tx_node: TxNode::MIN, ..FIRST };
-        assert_eq!(members.on_frame(at(0), &other.encode()), None);
+        assert_eq!(members.on_frame(&other.encode(), at(0)), None);
         assert_eq!((members.overflows(), members.iter().count()), (1, 1));
     }
 }

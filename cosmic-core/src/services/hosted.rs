@@ -14,11 +14,11 @@ pub trait Hosted {
     /// As [`Broker::set_tx_node`].
     fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>);
     /// As [`Broker::on_frame`].
-    fn on_frame(&mut self, now: Instant, frame: &Frame);
+    fn on_frame(&mut self, frame: &Frame, now: Instant);
     /// As [`Broker::poll`].
     fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>>;
     /// As [`Broker::next_wakeup`].
-    fn next_wakeup(&self) -> Option<Instant>;
+    fn next_wakeup(&self) -> Instant;
 }
 
 impl Hosted for () {
@@ -30,14 +30,14 @@ impl Hosted for () {
 
     fn set_tx_node(&mut self, _: Instant, _: Option<TxNode>) {}
 
-    fn on_frame(&mut self, _: Instant, _: &Frame) {}
+    fn on_frame(&mut self, _: &Frame, _: Instant) {}
 
     fn poll(&mut self, _: Instant) -> Option<Output<BrokerEvent>> {
         None
     }
 
-    fn next_wakeup(&self) -> Option<Instant> {
-        None
+    fn next_wakeup(&self) -> Instant {
+        Instant::FAR_FUTURE
     }
 }
 
@@ -52,15 +52,15 @@ impl<const NODES: usize, const SUBJECTS: usize> Hosted for Broker<NODES, SUBJECT
         Broker::set_tx_node(self, now, tx_node);
     }
 
-    fn on_frame(&mut self, now: Instant, frame: &Frame) {
-        Broker::on_frame(self, now, frame);
+    fn on_frame(&mut self, frame: &Frame, now: Instant) {
+        Broker::on_frame(self, frame, now);
     }
 
     fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>> {
         Broker::poll(self, now)
     }
 
-    fn next_wakeup(&self) -> Option<Instant> {
+    fn next_wakeup(&self) -> Instant {
         Broker::next_wakeup(self)
     }
 }
@@ -79,9 +79,9 @@ impl<B: Hosted> Hosted for Option<B> {
         }
     }
 
-    fn on_frame(&mut self, now: Instant, frame: &Frame) {
+    fn on_frame(&mut self, frame: &Frame, now: Instant) {
         if let Some(broker) = self {
-            broker.on_frame(now, frame);
+            broker.on_frame(frame, now);
         }
     }
 
@@ -89,7 +89,7 @@ impl<B: Hosted> Hosted for Option<B> {
         self.as_mut()?.poll(now)
     }
 
-    fn next_wakeup(&self) -> Option<Instant> {
-        self.as_ref()?.next_wakeup()
+    fn next_wakeup(&self) -> Instant {
+        self.as_ref().map_or(Instant::FAR_FUTURE, B::next_wakeup)
     }
 }

@@ -187,7 +187,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         match self.binding.poll(now)? {
             Output::Send(frame) => {
                 // A node does not hear itself, so a broker that it hosts must be told.
-                self.broker.on_frame(now, &frame);
+                self.broker.on_frame(&frame, now);
                 Some(Request::Send(frame))
             }
             Output::Withdraw(frame) => Some(Request::Withdraw(frame)),
@@ -242,7 +242,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         loop {
             match self.broker.poll(now)? {
                 Output::Send(frame) => {
-                    self.binding.on_frame(now, &frame);
+                    self.binding.on_frame(&frame, now);
                     return Some(Request::Send(frame));
                 }
                 Output::Withdraw(frame) => return Some(Request::Withdraw(frame)),
@@ -294,7 +294,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     fn poll_membership(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
         if let Some(frame) = self.declarations.poll(now) {
             // As for the frames of the binding client.
-            self.broker.on_frame(now, &frame);
+            self.broker.on_frame(&frame, now);
             return Some(Request::Send(frame));
         }
         while let Some(event) = self.members.poll(now) {
@@ -309,7 +309,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     /// When the first of the services has something to do.
     fn due_at(&self) -> Instant {
-        let report = self.tx_node().map(|_| self.report.next_wakeup());
+        let report = self.tx_node().map_or(Instant::FAR_FUTURE, |_| self.report.next_wakeup());
         let wakeups = [
             self.configuration.next_wakeup(),
             self.binding.next_wakeup(),
@@ -319,7 +319,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             self.members.next_wakeup(),
             report,
         ];
-        wakeups.into_iter().flatten().fold(self.clock.next_wakeup(), Instant::min)
+        wakeups.into_iter().fold(self.clock.next_wakeup(), Instant::min)
     }
 
     fn on_member(&mut self, event: MemberEvent, now: Instant) {
@@ -343,24 +343,24 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         self.idle_until = Instant::EPOCH;
-        self.configuration.on_frame(received_at, frame);
+        self.configuration.on_frame(frame, received_at);
         match frame.id.etag() {
             Etag::SYNC | Etag::FOLLOW_UP => return self.clock.on_sync_frame(frame, received_at),
             Etag::NODE_STATUS => {
-                if let Some(event) = self.members.on_frame(received_at, frame) {
+                if let Some(event) = self.members.on_frame(frame, received_at) {
                     self.on_member(event, received_at);
                 }
             }
             Etag::INTEREST => {
-                if let Some(event) = self.interests.on_frame(received_at, frame) {
+                if let Some(event) = self.interests.on_frame(frame, received_at) {
                     self.tell(News::Interest(event));
                 }
             }
             _ => {}
         }
-        self.binding.on_frame(received_at, frame);
-        self.broker.on_frame(received_at, frame);
-        if let Some(mismatch) = self.declarations.on_frame(received_at, frame) {
+        self.binding.on_frame(frame, received_at);
+        self.broker.on_frame(frame, received_at);
+        if let Some(mismatch) = self.declarations.on_frame(frame, received_at) {
             let of_etag = |wanted: &&Wanted| wanted.etag == Some(mismatch.etag);
             let subject = self.wanted.iter().flatten().find(of_etag).map(|wanted| wanted.subject);
             self.ask(Request::Exception(subject, ExceptionKind::LayoutMismatch));

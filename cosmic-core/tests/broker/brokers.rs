@@ -40,7 +40,10 @@ fn status(of: u64, id: u8) -> Frame {
 
 fn listening() -> SmallBroker {
     let mut broker = Broker::new(uid(0xB1), TIMING, Nodes::new(), Subjects::new());
-    assert_eq!((broker.role(), broker.poll(at(0)), broker.next_wakeup()), (Role::Off, None, None));
+    assert_eq!(
+        (broker.role(), broker.poll(at(0)), broker.next_wakeup()),
+        (Role::Off, None, Instant::FAR_FUTURE)
+    );
     broker.set_tx_node(at(0), Some(tx_node(HOST)));
     broker
 }
@@ -49,7 +52,7 @@ fn listening() -> SmallBroker {
 fn active(heard: &[Frame]) -> SmallBroker {
     let mut broker = listening();
     for frame in heard {
-        broker.on_frame(at(10), frame);
+        broker.on_frame(frame, at(10));
     }
     let sent: Vec<Frame> = (0..=302).flat_map(|now| frames(&mut broker, at(now))).collect();
     let restart = ConfigurationReply::Restart.encode();
@@ -63,12 +66,12 @@ fn active(heard: &[Frame]) -> SmallBroker {
 
 fn search(broker: &mut SmallBroker, now: Instant, of: u64) -> Vec<Frame> {
     let stages = (0..16).rev().map(|stage| Stage::new(stage).unwrap());
-    stages.for_each(|stage| broker.on_frame(now, &ConfigurationRequest::new(uid(of), stage).encode()));
+    stages.for_each(|stage| broker.on_frame(&ConfigurationRequest::new(uid(of), stage).encode(), now));
     frames(broker, now)
 }
 
 fn get(broker: &mut SmallBroker, now: Instant, of: u64) -> Vec<Frame> {
-    broker.on_frame(now, &GetEtag { requester: tx_node(9), subject: subject(of) }.encode());
+    broker.on_frame(&GetEtag { requester: tx_node(9), subject: subject(of) }.encode(), now);
     frames(broker, now)
 }
 
@@ -91,7 +94,7 @@ fn a_search_and_its_refusal() {
     assert_eq!(search(&mut broker, now, 0x78).len(), 16);
     // Both are seen at work, so no id is left.
     for (of, id) in [(0x77, TxNode::MAX), (0x78, tx_node(0x7D))] {
-        broker.on_frame(now, &NodeIdentity { tx_node: id, uid: uid(of) }.encode());
+        broker.on_frame(&NodeIdentity { tx_node: id, uid: uid(of) }.encode(), now);
     }
     assert_eq!(search(&mut broker, now, 0x79)[15], ConfigurationRefusal { uid: uid(0x79) }.encode());
     assert_eq!(broker.counters().no_id_left, 1);
@@ -133,7 +136,7 @@ fn names_whose_use_is_heard_are_not_handed_out() {
 #[test]
 fn a_search_that_nobody_continues_is_given_up() {
     let mut broker = active(&[]);
-    broker.on_frame(at(310), &ConfigurationRequest::new(uid(7), Stage::FIRST).encode());
+    broker.on_frame(&ConfigurationRequest::new(uid(7), Stage::FIRST).encode(), at(310));
     let _ = frames(&mut broker, at(310));
     assert!(!frames(&mut broker, at(559)).contains(&ConfigurationReply::Restart.encode()));
     assert!(frames(&mut broker, at(560)).contains(&ConfigurationReply::Restart.encode()));
@@ -144,7 +147,7 @@ fn a_search_that_nobody_continues_is_given_up() {
 fn more_requests_than_replies_fit_are_counted() {
     let mut broker = active(&[]);
     for _ in 0..20 {
-        broker.on_frame(at(310), &GetEtag { requester: tx_node(9), subject: subject(1) }.encode());
+        broker.on_frame(&GetEtag { requester: tx_node(9), subject: subject(1) }.encode(), at(310));
     }
     let sent = frames(&mut broker, at(310)).len();
     assert_eq!(sent % 2, 0, "no half goes alone");
@@ -156,7 +159,7 @@ fn a_node_that_uses_a_wrong_etag_is_told_the_right_one() {
     let mut broker = active(&[]);
     assert_eq!(get(&mut broker, at(310), 1), supply(TxNode::BROKER, 1, Answer::Bound(TOP)));
     let mut claim = |of, etag| {
-        supply(tx_node(9), of, Answer::Bound(etag)).iter().for_each(|half| broker.on_frame(at(311), half));
+        supply(tx_node(9), of, Answer::Bound(etag)).iter().for_each(|half| broker.on_frame(half, at(311)));
         frames(&mut broker, at(311))
     };
     assert_eq!(claim(1, TOP), [], "that is right");
@@ -170,10 +173,10 @@ fn a_node_that_uses_a_wrong_etag_is_told_the_right_one() {
 fn the_lower_uid_stays_active() {
     let mut broker = active(&[]);
     let _ = frames(&mut broker, at(400));
-    broker.on_frame(at(400), &status(0xB2, 2));
+    broker.on_frame(&status(0xB2, 2), at(400));
     assert_eq!(frames(&mut broker, at(400)), [status(0xB1, HOST)], "it tells the other at once");
     assert!(frames(&mut broker, at(700)).contains(&probe()), "and compares its table");
-    broker.on_frame(at(710), &status(0xB0, 3));
+    broker.on_frame(&status(0xB0, 3), at(710));
     assert_eq!(broker.role(), Role::Standby);
     assert_eq!(frames(&mut broker, at(710)), [probe()]);
     assert_eq!(get(&mut broker, at(711), 1), [], "a standby does not answer");
@@ -184,14 +187,14 @@ fn a_standby_waits_the_longer_the_higher_its_id_is() {
     for id in [1, 100] {
         let mut broker = listening();
         broker.set_tx_node(at(0), Some(tx_node(id)));
-        broker.on_frame(at(5), &status(0xC0, 3));
+        broker.on_frame(&status(0xC0, 3), at(5));
         let probes = (5..1000)
             .flat_map(|now| frames(&mut broker, at(now)))
             .filter(|frame| *frame == Probe { tx_node: tx_node(id) }.encode());
         assert_eq!(probes.count(), 3);
-        broker.on_frame(at(1000), &status(0xC0, 3));
+        broker.on_frame(&status(0xC0, 3), at(1000));
         let takeover = at(1000) + TIMING.silence + TIMING.rank_step * u32::from(id);
-        assert_eq!(broker.next_wakeup(), Some(takeover));
+        assert_eq!(broker.next_wakeup(), takeover);
         let _ = frames(&mut broker, takeover.saturating_sub(Duration::from_ticks(1)));
         assert_eq!(broker.role(), Role::Standby);
         let _ = frames(&mut broker, takeover);
@@ -203,12 +206,12 @@ fn a_standby_waits_the_longer_the_higher_its_id_is() {
 fn beside_the_old_broker_only_a_request_without_an_answer_counts() {
     let mut broker = listening();
     let reply = ConfigurationReply::Assigned { uid: uid(5), tx_node: tx_node(0x7D) };
-    broker.on_frame(at(5), &reply.encode());
+    broker.on_frame(&reply.encode(), at(5));
     assert_eq!(broker.role(), Role::Standby);
     let _ = frames(&mut broker, at(100_000));
     assert_eq!(broker.role(), Role::Standby);
     assert_eq!(get(&mut broker, at(100_001), 1), []);
-    supply(TxNode::BROKER, 1, Answer::Bound(TOP)).iter().for_each(|half| broker.on_frame(at(100_002), half));
+    supply(TxNode::BROKER, 1, Answer::Bound(TOP)).iter().for_each(|half| broker.on_frame(half, at(100_002)));
     let _ = frames(&mut broker, at(200_000));
     assert_eq!(broker.role(), Role::Standby, "it was answered");
     assert_eq!(get(&mut broker, at(200_001), 2), []);
@@ -223,7 +226,7 @@ fn a_broker_whose_node_loses_its_id_is_off() {
     let mut broker = active(&[]);
     broker.set_tx_node(at(400), None);
     assert_eq!(get(&mut broker, at(400), 1), []);
-    assert_eq!((broker.role(), broker.next_wakeup()), (Role::Off, None));
+    assert_eq!((broker.role(), broker.next_wakeup()), (Role::Off, Instant::FAR_FUTURE));
 }
 
 #[test]
@@ -231,7 +234,7 @@ fn zero_is_no_uid() {
     let mut broker = active(&[]);
     for stage in (0..16).rev() {
         let id = 0x7D << 22 | stage << 18 | 1; // nibble 0
-        broker.on_frame(at(310), &Frame::new(Id::from_raw(id).unwrap(), Payload::EMPTY));
+        broker.on_frame(&Frame::new(Id::from_raw(id).unwrap(), Payload::EMPTY), at(310));
     }
     assert_eq!(frames(&mut broker, at(310)).last(), Some(&ConfigurationReply::Restart.encode()));
 }
@@ -246,7 +249,7 @@ fn events(broker: &mut SmallBroker, now: Instant) -> Vec<BrokerEvent> {
 }
 
 fn hear(broker: &mut SmallBroker, now: Instant, frames: &[&str]) {
-    frames.iter().for_each(|frame| broker.on_frame(now, &from_candump(frame)));
+    frames.iter().for_each(|frame| broker.on_frame(&from_candump(frame), now));
 }
 
 #[test]
@@ -259,7 +262,7 @@ fn a_broker_that_sends_nothing_unasked_is_noticed_by_its_answer() {
     let used_up = BrokerEvent::EtagsUsedUp { unnamed: 2 };
     assert_eq!(events(&mut broker, at(1)), [BrokerEvent::Became(Role::Standby), used_up]);
     assert_eq!(events(&mut broker, at(1000)), []);
-    assert_eq!(broker.next_wakeup(), Some(at(1001)));
+    assert_eq!(broker.next_wakeup(), at(1001));
     assert_eq!(events(&mut broker, at(1001)), [BrokerEvent::ForeignBroker]);
     assert_eq!(events(&mut broker, at(50_000)), [], "told once");
     // It dies; nobody answers the next request.
@@ -306,7 +309,7 @@ fn a_foreign_broker_beside_an_active_one_is_told_and_answered_slowly() {
     // The status of another broker of this kind is answered no faster.
     let mut answers = 0;
     for now in 2400..3400 {
-        broker.on_frame(at(now), &status(0xB2, 2));
+        broker.on_frame(&status(0xB2, 2), at(now));
         answers += frames(&mut broker, at(now)).len();
     }
     assert!(answers <= 20, "{answers}");

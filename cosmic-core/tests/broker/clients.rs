@@ -40,7 +40,7 @@ const UID: u64 = 0x1234_0000_0000_0000;
 /// A client whose first request is out.
 fn asking() -> (Configuration, Instant) {
     let mut client = Configuration::new(at(0), uid(UID), 0, TIMING);
-    let now = client.next_wakeup().unwrap();
+    let now = client.next_wakeup();
     assert!(now < at(0) + TIMING.reply);
     assert_eq!(outputs(&mut client, now), [Output::Send(request(UID, 15))]);
     (client, now)
@@ -49,13 +49,13 @@ fn asking() -> (Configuration, Instant) {
 /// A client that has got the id 9, and has stated it some time ago.
 fn configured() -> (Configuration, Instant) {
     let (mut client, mut now) = asking();
-    client.on_frame(now, &prefix(UID, 1));
+    client.on_frame(&prefix(UID, 1), now);
     let last = [Output::Withdraw(request(UID, 15)), Output::Send(request(UID, 0))];
     assert_eq!(outputs(&mut client, now), last);
-    client.on_frame(now, &assigned(UID, 9));
+    client.on_frame(&assigned(UID, 9), now);
     let mut all = Vec::new();
     while client.tx_node().is_none() {
-        now = client.next_wakeup().unwrap();
+        now = client.next_wakeup();
         all.extend(outputs(&mut client, now));
     }
     let identity = Output::Send(NodeIdentity { tx_node: tx_node(9), uid: uid(UID) }.encode());
@@ -68,24 +68,24 @@ fn configured() -> (Configuration, Instant) {
 #[test]
 fn a_node_goes_on_with_its_prefix_and_withdraws_when_it_has_lost() {
     let (mut client, now) = asking();
-    client.on_frame(now, &prefix(UID, 15));
+    client.on_frame(&prefix(UID, 15), now);
     let next = [Output::Withdraw(request(UID, 15)), Output::Send(request(UID, 14))];
     assert_eq!(outputs(&mut client, now), next);
-    client.on_frame(now, &prefix(UID, 15));
+    client.on_frame(&prefix(UID, 15), now);
     assert_eq!(outputs(&mut client, now), [], "the same reply again");
-    client.on_frame(now, &prefix(0x1100_0000_0000_0000, 14));
+    client.on_frame(&prefix(0x1100_0000_0000_0000, 14), now);
     assert_eq!(outputs(&mut client, now), [Output::Withdraw(request(UID, 14))]);
     // The end of the other's search is the start of ours.
-    client.on_frame(now, &assigned(0x1100_0000_0000_0000, 7));
+    client.on_frame(&assigned(0x1100_0000_0000_0000, 7), now);
     assert_eq!(outputs(&mut client, now), [Output::Send(request(UID, 15))]);
 }
 
 #[test]
 fn a_node_that_has_lost_begins_again_when_the_bus_falls_silent() {
     let (mut client, now) = asking();
-    client.on_frame(now, &prefix(0x0100_0000_0000_0000, 15));
+    client.on_frame(&prefix(0x0100_0000_0000_0000, 15), now);
     let _ = outputs(&mut client, now);
-    let wakeup = client.next_wakeup().unwrap();
+    let wakeup = client.next_wakeup();
     assert_eq!(wakeup, now + TIMING.search);
     assert_eq!(outputs(&mut client, wakeup), [Output::Send(request(UID, 15))]);
 }
@@ -93,8 +93,8 @@ fn a_node_that_has_lost_begins_again_when_the_bus_falls_silent() {
 #[test]
 fn a_request_that_nobody_has_fetched_is_not_withdrawn_but_dropped() {
     let (mut client, now) = asking();
-    client.on_frame(now, &prefix(UID, 15));
-    client.on_frame(now, &prefix(0x1100_0000_0000_0000, 14));
+    client.on_frame(&prefix(UID, 15), now);
+    client.on_frame(&prefix(0x1100_0000_0000_0000, 14), now);
     assert_eq!(outputs(&mut client, now), [Output::Withdraw(request(UID, 15))]);
 }
 
@@ -103,7 +103,7 @@ fn without_an_answer_a_node_asks_less_and_less_often() {
     let (mut client, mut now) = asking();
     let mut sent = vec![now];
     while sent.len() < 60 {
-        now = client.next_wakeup().unwrap();
+        now = client.next_wakeup();
         sent.extend(
             outputs(&mut client, now).iter().filter(|out| matches!(out, Output::Send(_))).map(|_| now),
         );
@@ -121,13 +121,13 @@ fn without_an_answer_a_node_asks_less_and_less_often() {
 #[test]
 fn a_refused_node_pauses() {
     let (mut client, now) = asking();
-    client.on_frame(now, &ConfigurationRefusal { uid: uid(UID) }.encode());
+    client.on_frame(&ConfigurationRefusal { uid: uid(UID) }.encode(), now);
     let refused = [Output::Withdraw(request(UID, 15)), Output::Event(ConfigurationEvent::Refused)];
     assert_eq!(outputs(&mut client, now), refused);
     // It takes no part in the searches of others meanwhile.
-    client.on_frame(now, &prefix(UID, 15));
+    client.on_frame(&prefix(UID, 15), now);
     assert_eq!(outputs(&mut client, now), []);
-    assert!(client.next_wakeup().unwrap() > now + Duration::from_millis(900));
+    assert!(client.next_wakeup() > now + Duration::from_millis(900));
 }
 
 #[test]
@@ -136,14 +136,14 @@ fn a_node_defends_its_id_and_yields_only_to_one_that_stays() {
     let mine = Output::Send(NodeIdentity { tx_node: tx_node(9), uid: uid(UID) }.encode());
     let theirs = NodeIdentity { tx_node: tx_node(9), uid: uid(5) }.encode();
     let conflict = ConfigurationEvent::Conflict { tx_node: tx_node(9), other: Some(uid(5)) };
-    client.on_frame(now, &theirs);
+    client.on_frame(&theirs, now);
     assert_eq!(outputs(&mut client, now), [Output::Event(conflict), mine]);
-    client.on_frame(now, &theirs);
+    client.on_frame(&theirs, now);
     assert_eq!(outputs(&mut client, now), [], "told once, and answered a little later");
     now = now + BETWEEN_ANSWERS;
-    assert_eq!(client.next_wakeup(), Some(now));
+    assert_eq!(client.next_wakeup(), now);
     assert_eq!(outputs(&mut client, now), [mine]);
-    client.on_frame(now, &theirs);
+    client.on_frame(&theirs, now);
     assert_eq!(outputs(&mut client, now), [Output::Event(ConfigurationEvent::Lost(tx_node(9)))]);
     assert_eq!(client.tx_node(), None);
 }
@@ -154,9 +154,9 @@ fn the_lower_uid_stays_and_conflicts_that_are_rare_are_forgotten() {
     let higher = NodeIdentity { tx_node: tx_node(9), uid: uid(UID + 1) }.encode();
     let lower = NodeIdentity { tx_node: tx_node(9), uid: uid(5) }.encode();
     for _ in 0..10 {
-        client.on_frame(now, &higher);
+        client.on_frame(&higher, now);
         now = now + TIMING.conflict;
-        client.on_frame(now, &lower);
+        client.on_frame(&lower, now);
         now = now + TIMING.conflict;
         let _ = outputs(&mut client, now);
     }
@@ -167,9 +167,9 @@ fn the_lower_uid_stays_and_conflicts_that_are_rare_are_forgotten() {
 fn any_frame_with_its_id_is_a_conflict_but_configuration_is_not() {
     let (mut client, now) = configured();
     // Stage 0, nibble 9: the TxNode field happens to be 9.
-    client.on_frame(now, &request(9, 0));
+    client.on_frame(&request(9, 0), now);
     assert_eq!(outputs(&mut client, now), []);
-    client.on_frame(now, &NodeStatus::first(tx_node(9), NodeState::Operational).encode());
+    client.on_frame(&NodeStatus::first(tx_node(9), NodeState::Operational).encode(), now);
     let conflict = ConfigurationEvent::Conflict { tx_node: tx_node(9), other: None };
     let identity = NodeIdentity { tx_node: tx_node(9), uid: uid(UID) }.encode();
     assert_eq!(outputs(&mut client, now), [Output::Event(conflict), Output::Send(identity)]);
@@ -178,10 +178,10 @@ fn any_frame_with_its_id_is_a_conflict_but_configuration_is_not() {
 #[test]
 fn a_second_node_with_our_uid_is_told_of() {
     let (mut client, now) = configured();
-    client.on_frame(now, &assigned(UID, 9));
+    client.on_frame(&assigned(UID, 9), now);
     assert_eq!(outputs(&mut client, now), [], "it may be the reply to our own request, repeated");
     let later = now + Duration::from_secs(5);
-    client.on_frame(later, &assigned(UID, 9));
+    client.on_frame(&assigned(UID, 9), later);
     let conflict = ConfigurationEvent::Conflict { tx_node: tx_node(9), other: Some(uid(UID)) };
     assert_eq!(outputs(&mut client, later)[0], Output::Event(conflict));
 }
@@ -189,15 +189,15 @@ fn a_second_node_with_our_uid_is_told_of() {
 #[test]
 fn a_probe_is_answered_and_a_release_is_the_last_word() {
     let (mut client, now) = configured();
-    client.on_frame(now, &Probe { tx_node: tx_node(3) }.encode());
+    client.on_frame(&Probe { tx_node: tx_node(3) }.encode(), now);
     let identity = NodeIdentity { tx_node: tx_node(9), uid: uid(UID) }.encode();
     assert_eq!(outputs(&mut client, now), [Output::Send(identity)]);
     client.release();
     let release = Release { tx_node: tx_node(9), uid: uid(UID) }.encode();
     assert_eq!(outputs(&mut client, now), [Output::Send(release)]);
-    client.on_frame(now, &Probe { tx_node: tx_node(3) }.encode());
-    client.on_frame(now, &ConfigurationReply::Restart.encode());
-    assert_eq!((outputs(&mut client, now), client.next_wakeup()), (vec![], None));
+    client.on_frame(&Probe { tx_node: tx_node(3) }.encode(), now);
+    client.on_frame(&ConfigurationReply::Restart.encode(), now);
+    assert_eq!((outputs(&mut client, now), client.next_wakeup()), (vec![], Instant::FAR_FUTURE));
 }
 
 /// Frames from one sender, one in a millisecond.
@@ -209,7 +209,7 @@ fn flood(
 ) -> Vec<Output<ConfigurationEvent>> {
     let times = (0..count).map(|ms| from + Duration::from_millis(ms));
     let answers = times.flat_map(|now| {
-        client.on_frame(now, frame);
+        client.on_frame(frame, now);
         outputs(client, now)
     });
     answers.collect()
@@ -240,7 +240,7 @@ fn fixed(on_duplicate: OnDuplicate) -> (Configuration, Instant) {
     let mut client = client.on_duplicate(on_duplicate);
     let mut now = at(0);
     while client.tx_node().is_none() {
-        now = client.next_wakeup().unwrap();
+        now = client.next_wakeup();
         let _ = outputs(&mut client, now);
     }
     (client, now + BETWEEN_ANSWERS)
@@ -283,7 +283,7 @@ fn a_node_that_holds_its_id_lets_one_that_works_with_it_already() {
                 .filter(|out| matches!(out, Output::Event(ConfigurationEvent::Conflict { .. })))
                 .count();
             if all.iter().any(is_frame) {
-                client.on_frame(now, &low);
+                client.on_frame(&low, now);
             }
         }
         assert_eq!(client.tx_node().is_some(), works, "{stays:?}");
@@ -302,7 +302,7 @@ fn what_a_node_does_on_a_duplicate_is_for_fixed_ids_only() {
 #[test]
 fn an_id_counts_only_as_the_answer_to_the_last_question() {
     let (mut client, now) = asking();
-    client.on_frame(now, &assigned(UID, 9));
+    client.on_frame(&assigned(UID, 9), now);
     let again = [Output::Withdraw(request(UID, 15)), Output::Send(request(UID, 15))];
     assert_eq!(outputs(&mut client, now), again);
 }
@@ -336,10 +336,10 @@ fn binding() -> Binding<2> {
 fn subjects_are_bound_one_after_the_other() {
     let mut client = binding();
     let [first, second] = supply(TxNode::BROKER, 4, 1, Answer::Bound(ETAG));
-    client.on_frame(at(1), &second);
-    client.on_frame(at(1), &first);
+    client.on_frame(&second, at(1));
+    client.on_frame(&first, at(1));
     assert_eq!(binding_outputs(&mut client, at(1)), [], "halves in the wrong order");
-    client.on_frame(at(1), &second);
+    client.on_frame(&second, at(1));
     let bound = BindingEvent::Bound { subject: subject(1), etag: ETAG };
     assert_eq!(binding_outputs(&mut client, at(1)), [Output::Event(bound), Output::Send(get(2))]);
     assert_eq!(client.etag_of(subject(1)), Some(ETAG));
@@ -352,7 +352,7 @@ fn subjects_are_bound_one_after_the_other() {
 fn an_answer_to_another_node_makes_our_request_void() {
     let mut client = binding();
     for half in supply(TxNode::BROKER, 77, 1, Answer::Bound(ETAG)) {
-        client.on_frame(at(1), &half);
+        client.on_frame(&half, at(1));
     }
     let bound = BindingEvent::Bound { subject: subject(1), etag: ETAG };
     let expected = [Output::Withdraw(get(1)), Output::Event(bound), Output::Send(get(2))];
@@ -364,7 +364,7 @@ fn without_an_answer_the_subjects_take_turns() {
     let mut client = binding();
     let mut asked = Vec::new();
     for _ in 0..6 {
-        let now = client.next_wakeup().unwrap();
+        let now = client.next_wakeup();
         let outputs = binding_outputs(&mut client, now);
         assert!(matches!(outputs[0], Output::Withdraw(_)));
         asked.extend(outputs.into_iter().skip(1));
@@ -377,7 +377,7 @@ fn without_an_answer_the_subjects_take_turns() {
 fn only_the_broker_binds() {
     let mut client = binding();
     for half in supply(tx_node(9), 9, 1, Answer::Bound(ETAG)) {
-        client.on_frame(at(1), &half);
+        client.on_frame(&half, at(1));
     }
     assert_eq!(client.etag_of(subject(1)), None);
 }
@@ -387,11 +387,11 @@ fn a_refused_subject_is_asked_for_again_later() {
     let mut client = binding();
     client.forget(subject(2));
     for half in supply(TxNode::BROKER, 4, 1, Answer::Refused) {
-        client.on_frame(at(1), &half);
+        client.on_frame(&half, at(1));
     }
     let refused = BindingEvent::Refused { subject: subject(1) };
     assert_eq!(binding_outputs(&mut client, at(1)), [Output::Event(refused)]);
-    let again = client.next_wakeup().unwrap();
+    let again = client.next_wakeup();
     assert!(again > at(1) + Duration::from_secs(1));
     assert_eq!(binding_outputs(&mut client, again), [Output::Send(get(1))]);
 }
@@ -402,13 +402,13 @@ fn a_subject_is_bound_anew() {
     client.assume(subject(1), ETAG).unwrap();
     let new = Etag::new(0x3000).unwrap();
     for half in supply(TxNode::BROKER, 77, 1, Answer::Bound(new)) {
-        client.on_frame(at(1), &half);
+        client.on_frame(&half, at(1));
     }
     let rebound = BindingEvent::Rebound { subject: subject(1), old: ETAG, new };
     assert_eq!(binding_outputs(&mut client, at(1)), [Output::Event(rebound)]);
     // A probe is answered with what holds now.
     client.set_tx_node(Some(tx_node(4)));
-    client.on_frame(at(2), &Probe { tx_node: tx_node(3) }.encode());
+    client.on_frame(&Probe { tx_node: tx_node(3) }.encode(), at(2));
     let claim = supply(tx_node(4), 4, 1, Answer::Bound(new)).map(Output::Send);
     assert_eq!(binding_outputs(&mut client, at(2)), claim);
 }
@@ -422,7 +422,7 @@ fn a_flood_of_probes_is_answered_five_times_a_second() {
     client.set_tx_node(Some(tx_node(4)));
     let mut claims = Vec::new();
     for now in (0..2000).map(at) {
-        client.on_frame(now, &from_candump("1F40C008#"));
+        client.on_frame(&from_candump("1F40C008#"), now);
         // The bus takes one frame a millisecond.
         claims.extend(client.poll(now));
     }
@@ -431,7 +431,7 @@ fn a_flood_of_probes_is_answered_five_times_a_second() {
         .map(Output::Send)
         .collect();
     assert_eq!(claims, round.repeat(10), "each of them whole");
-    assert_eq!(client.next_wakeup(), Some(at(2000)), "the last probe is not forgotten");
+    assert_eq!(client.next_wakeup(), at(2000), "the last probe is not forgotten");
     assert_eq!(binding_outputs(&mut client, at(2000)), round);
 }
 
@@ -444,7 +444,7 @@ fn an_etag_that_is_fixed_stays() {
         client.fix(subject(1), fixed).unwrap();
         let contradicted = [Output::Event(BindingEvent::Contradicted { subject: subject(1), etag: fixed })];
         let mut hear = |now, of, answer| {
-            supply(TxNode::BROKER, 9, of, answer).iter().for_each(|half| client.on_frame(now, half));
+            supply(TxNode::BROKER, 9, of, answer).iter().for_each(|half| client.on_frame(half, now));
             let outputs = binding_outputs(&mut client, now);
             assert_eq!(client.etag_of(subject(1)), Some(fixed));
             outputs
@@ -467,7 +467,7 @@ fn an_etag_that_another_subject_gets_is_dropped_at_once() {
     let mut client = binding();
     let bind = |client: &mut Binding<2>, of, etag| {
         for half in supply(TxNode::BROKER, 77, of, Answer::Bound(etag)) {
-            client.on_frame(at(1), &half);
+            client.on_frame(&half, at(1));
         }
         binding_outputs(client, at(1))
     };

@@ -21,10 +21,10 @@ pub(crate) type TestBroker = Broker<20, 16>;
 
 /// A participant of the bus.
 pub(crate) trait Station {
-    fn on_frame(&mut self, now: Instant, frame: &Frame);
+    fn on_frame(&mut self, frame: &Frame, now: Instant);
     /// Moves what is to be sent into the outbox; called often.
     fn poll(&mut self, now: Instant, outbox: &mut VecDeque<Frame>);
-    fn next_wakeup(&self) -> Option<Instant>;
+    fn next_wakeup(&self) -> Instant;
     /// The id and the etag of an old client.
     fn old_names(&self) -> Option<(Option<u8>, Option<u16>)> {
         None
@@ -145,7 +145,7 @@ impl Node {
                 None => break,
                 Some(Output::Send(frame)) => {
                     if let Some(broker) = &mut self.broker {
-                        broker.on_frame(now, &frame);
+                        broker.on_frame(&frame, now);
                     }
                     outbox.push_back(frame);
                 }
@@ -161,7 +161,7 @@ impl Node {
             match broker.poll(now) {
                 None => break,
                 Some(Output::Send(frame)) => {
-                    self.binding.on_frame(now, &frame);
+                    self.binding.on_frame(&frame, now);
                     outbox.push_back(frame);
                 }
                 Some(Output::Withdraw(frame)) => outbox.retain(|queued| *queued != frame),
@@ -172,11 +172,11 @@ impl Node {
 }
 
 impl Station for Node {
-    fn on_frame(&mut self, now: Instant, frame: &Frame) {
-        self.configuration.on_frame(now, frame);
-        self.binding.on_frame(now, frame);
+    fn on_frame(&mut self, frame: &Frame, now: Instant) {
+        self.configuration.on_frame(frame, now);
+        self.binding.on_frame(frame, now);
         if let Some(broker) = &mut self.broker {
-            broker.on_frame(now, frame);
+            broker.on_frame(frame, now);
         }
     }
 
@@ -186,9 +186,9 @@ impl Station for Node {
         self.poll_binding(now, outbox);
     }
 
-    fn next_wakeup(&self) -> Option<Instant> {
-        let broker = self.broker.as_ref().and_then(Broker::next_wakeup);
-        [self.configuration.next_wakeup(), self.binding.next_wakeup(), broker].into_iter().flatten().min()
+    fn next_wakeup(&self) -> Instant {
+        let broker = self.broker.as_ref().map_or(Instant::FAR_FUTURE, Broker::next_wakeup);
+        self.configuration.next_wakeup().min(self.binding.next_wakeup()).min(broker)
     }
 
     fn as_node(&self) -> Option<&Node> {
@@ -314,7 +314,7 @@ impl Ether {
     }
 
     fn next_instant(&self, end: Instant) -> Instant {
-        let wakeups = self.stations.iter().filter(|at| at.alive).filter_map(|at| at.station.next_wakeup());
+        let wakeups = self.stations.iter().filter(|at| at.alive).map(|at| at.station.next_wakeup());
         let late = self.late.iter().map(|(at, ..)| *at);
         let next = wakeups.chain(late).min().unwrap_or(end).min(end);
         next.max(self.now + Duration::from_micros(1))
@@ -356,9 +356,9 @@ impl Ether {
             self.late.push_back((done + Duration::from_millis(5), index, *frame));
             return;
         }
-        self.stations[index].station.on_frame(done, frame);
+        self.stations[index].station.on_frame(frame, done);
         if self.happens(self.faults.twice) {
-            self.stations[index].station.on_frame(done, frame);
+            self.stations[index].station.on_frame(frame, done);
         }
     }
 
@@ -366,7 +366,7 @@ impl Ether {
         while self.late.front().is_some_and(|(at, ..)| *at <= self.now) {
             let (_, index, frame) = self.late.pop_front().unwrap();
             if self.stations[index].alive {
-                self.stations[index].station.on_frame(self.now, &frame);
+                self.stations[index].station.on_frame(&frame, self.now);
             }
         }
     }

@@ -70,7 +70,7 @@ impl OldBroker {
 }
 
 impl Station for OldBroker {
-    fn on_frame(&mut self, _: Instant, frame: &Frame) {
+    fn on_frame(&mut self, frame: &Frame, _: Instant) {
         match frame.id.etag().get() {
             1 => self.on_request(frame.id.raw()),
             2 => self.on_get_etag(frame.id.raw(), frame.payload.padded()),
@@ -82,8 +82,8 @@ impl Station for OldBroker {
         outbox.append(&mut self.outbox);
     }
 
-    fn next_wakeup(&self) -> Option<Instant> {
-        None
+    fn next_wakeup(&self) -> Instant {
+        Instant::FAR_FUTURE
     }
 }
 
@@ -146,7 +146,7 @@ impl OldClient {
 }
 
 impl Station for OldClient {
-    fn on_frame(&mut self, _: Instant, frame: &Frame) {
+    fn on_frame(&mut self, frame: &Frame, _: Instant) {
         match (frame.id.etag().get(), self.tx_node) {
             (0, None) => self.on_reply(frame.id.tx_node().get(), u64::from_be_bytes(frame.payload.padded())),
             (4, Some(_)) => self.on_supply(frame.payload.padded()),
@@ -158,8 +158,8 @@ impl Station for OldClient {
         outbox.append(&mut self.outbox);
     }
 
-    fn next_wakeup(&self) -> Option<Instant> {
-        None
+    fn next_wakeup(&self) -> Instant {
+        Instant::FAR_FUTURE
     }
 
     fn old_names(&self) -> Option<(Option<u8>, Option<u16>)> {
@@ -207,7 +207,7 @@ fn a_claim_does_not_confuse_an_old_client() {
             "1F4A8004#2A053FF055667788",
             "1F5FC004#7E013FFE55667788",
         ] {
-            old.on_frame(now, &from_candump(frame));
+            old.on_frame(&from_candump(frame), now);
         }
         assert_eq!(old.etag, Some(0x3FFE), "{first_half_of_claim}");
     }
@@ -215,7 +215,7 @@ fn a_claim_does_not_confuse_an_old_client() {
     let mut node = Binding::<1>::new(0, BindingTiming::DEFAULT);
     node.assume(subject(0x1122_3344_5566_7788), Etag::new(0x3FF0).unwrap()).unwrap();
     node.set_tx_node(Some(tx_node(0x2A)));
-    node.on_frame(now, &from_candump("1F404008#"));
+    node.on_frame(&from_candump("1F404008#"), now);
     let claim = ["1F4A8004#2A043FF011223344", "1F4A8004#2A053FF055667788"].map(from_candump);
     assert_eq!(core::iter::from_fn(|| node.poll(now)).collect::<Vec<_>>(), claim.map(Output::Send));
 }

@@ -14,8 +14,8 @@ use crate::document::{Problems, Source};
 use cosmic_core::calendar::Segment;
 use cosmic_core::can::{Etag, Priority, TxNode};
 use cosmic_core::protocol::Rank;
-use cosmic_core::time::Duration;
 use cosmic_core::sync::SyncConfig;
+use cosmic_core::time::Duration;
 use std::path::PathBuf;
 
 /// The commented example that `cosmic-plan new` writes.

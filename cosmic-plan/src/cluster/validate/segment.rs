@@ -7,8 +7,8 @@ use crate::cluster::format::{ErrorsTable, SegmentTable};
 use crate::units::show;
 use cosmic_core::calendar::{Calendar, Segment};
 use cosmic_core::can::{BitRate, LONGEST_FRAME_BITS};
-use cosmic_core::time::Duration;
 use cosmic_core::sync::{SyncConfig, SyncConfigError};
+use cosmic_core::time::Duration;
 
 impl Checker<'_> {
     pub(super) fn segment(&self, table: &SegmentTable) -> (Segment, Duration) {
