@@ -25,7 +25,9 @@
 //! exceptions; none can be lost on the way.
 
 mod buffers;
+mod counters;
 mod dispatcher;
 
-pub use buffers::{Attach, AttachError, BufferId, Counters, Delivery, HrtBuffers, Role};
+pub use buffers::{Attach, AttachError, BufferId, Delivery, HrtBuffers, Role};
+pub use counters::Counters;
 pub use dispatcher::{Dispatcher, Step};
