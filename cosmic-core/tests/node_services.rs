@@ -1,7 +1,7 @@
 //! A whole node with all services and a broker, frame by frame: what crosses from the event half into the
 //! services, and what does not.
 
-use cosmic_core::broker::{Broker, BrokerEvent, BrokerTiming, Nodes, Role, Subjects};
+use cosmic_core::broker::{Broker, BrokerEvent, BrokerRole, BrokerTiming, Nodes, Subjects};
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Outcome, Payload, TxNode};
 use cosmic_core::client::OnDuplicate;
@@ -114,7 +114,7 @@ fn the_broker_of_a_node_hears_the_events_of_foreign_channels() {
     let mut node = hosting();
     node.half.subscribe(&SOFT, Filter::ALL, Policy::Latest).unwrap();
     node.run(0..1000);
-    assert_eq!(node.half.services().broker().role(), Role::Active);
+    assert_eq!(node.half.services().broker().role(), BrokerRole::Active);
     // Node 0x7E uses 0x3FFF, in which this node takes no part, and node 0x7D publishes what it subscribes to.
     let _ = node.hear(at(1000), &["021FBFFF#AA", "021F7FFD#0001"]);
     assert_eq!(node.half.foreign_frames(), 1);

@@ -2,7 +2,7 @@
 
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::network::soft::{
-    Etch, Exception, ExceptionKind, Full, Outgoing, PriorityMap, RESERVED, Step, Tag,
+    Etch, Full, Incident, IncidentKind, Outgoing, PriorityMap, RESERVED, Step, Tag,
 };
 use cosmic_core::time::{Duration, Instant};
 use proptest::prelude::*;
@@ -57,7 +57,7 @@ fn a_frame_is_promoted_as_its_deadline_nears() {
     let Step::SleepUntil(promotion) = etch.poll(at(0)) else { panic!("nothing else is to be done") };
     assert_eq!(promotion.saturating_since(at(0)), Duration::from_ticks(20_001));
     assert_eq!(etch.poll(promotion), Step::Command(Command::Withdraw(Mailbox::Soft)));
-    assert_eq!(etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, promotion).exception, None);
+    assert_eq!(etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, promotion).incident, None);
     let (_, frame) = loaded(etch.poll(promotion));
     assert_eq!(frame.id.priority().get(), 3);
 }
@@ -93,11 +93,11 @@ fn a_missed_deadline_is_told_once_and_the_event_is_still_sent() {
     let mut etch = Path::new(MAP);
     let _ = etch.submit_soft(at(0), soft(1, at(100), at(900))).unwrap();
     assert_eq!(etch.poll(at(50)), Step::SleepUntil(at(100)));
-    let missed = Exception { tag: Tag(1), kind: ExceptionKind::MissedDeadline };
-    assert_eq!(etch.poll(at(100)), Step::Exception(missed));
+    let missed = Incident { tag: Tag(1), kind: IncidentKind::MissedDeadline };
+    assert_eq!(etch.poll(at(100)), Step::Incident(missed));
     assert_eq!(etch.poll(at(101)), Step::SleepUntil(at(900)));
     let departure = etch.on_outcome(Mailbox::Soft, Outcome::Sent, at(300));
-    assert_eq!((departure.sent.is_some(), departure.exception), (true, None));
+    assert_eq!((departure.sent.is_some(), departure.incident), (true, None));
     assert_eq!(etch.counters().missed, 1);
 }
 
@@ -111,19 +111,19 @@ fn an_expired_event_is_discarded_from_queue_and_mailbox() {
     for now in 0..300 {
         loop {
             match etch.poll(at(now)) {
-                Step::Exception(exception) => told.push((now, exception.tag.0, exception.kind)),
+                Step::Incident(incident) => told.push((now, incident.tag.0, incident.kind)),
                 Step::Command(Command::Withdraw(_)) => {
                     withdrawn = true;
                     let departure = etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(now));
-                    let exception = departure.exception.unwrap();
-                    told.push((now, exception.tag.0, exception.kind));
+                    let incident = departure.incident.unwrap();
+                    told.push((now, incident.tag.0, incident.kind));
                 }
                 Step::Command(command) => panic!("{command:?}"),
                 Step::SleepUntil(_) => break,
             }
         }
     }
-    use ExceptionKind::{Expired, MissedDeadline};
+    use IncidentKind::{Expired, MissedDeadline};
     let expected = [(100, 1, MissedDeadline), (150, 2, MissedDeadline), (180, 2, Expired), (200, 1, Expired)];
     assert_eq!(told, expected);
     assert!(withdrawn && etch.is_empty());
@@ -158,7 +158,7 @@ fn recalled_events_are_not_sent() {
     let commands = etch.recall(|outgoing| outgoing.tag == Tag(1));
     assert_eq!(commands, [Some(Command::Withdraw(Mailbox::Soft)), None]);
     let departure = etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(1));
-    assert_eq!((departure.sent, departure.exception), (None, None));
+    assert_eq!((departure.sent, departure.incident), (None, None));
     assert_eq!(loaded(etch.poll(at(1))).1.payload.as_slice(), [2]);
 }
 
@@ -196,12 +196,12 @@ fn events_are_discarded_with_the_etag_of_their_channel_wherever_they_are() {
         }
         let _ = etch.submit_soft(at(0), soft(1, at(9_500), at(99_000))).unwrap();
         etch.revoke(at(5), |outgoing| outgoing.tag == Tag(1));
-        let lost = Exception { tag: Tag(1), kind: ExceptionKind::IdentifierLost };
+        let lost = Incident { tag: Tag(1), kind: IncidentKind::IdentifierLost };
         if !withdrawing {
             assert_eq!(etch.poll(at(5)), Step::Command(Command::Withdraw(Mailbox::Soft)));
         }
-        assert_eq!(etch.poll(at(5)), Step::Exception(lost));
-        assert_eq!(etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(6)).exception, Some(lost));
+        assert_eq!(etch.poll(at(5)), Step::Incident(lost));
+        assert_eq!(etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(6)).incident, Some(lost));
         assert_eq!((etch.len(), etch.counters().identifier_lost), (usize::from(withdrawing), 2));
         assert_eq!(etch.counters().expired, 0);
     }
@@ -271,13 +271,13 @@ impl Model {
             Command::Withdraw(_) => {
                 assert!(self.in_mailbox.take().is_some());
                 let departure = self.etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, self.now);
-                self.note(departure.exception);
+                self.note(departure.incident);
             }
         }
     }
 
-    fn note(&mut self, exception: Option<Exception>) {
-        if let Some(Exception { tag, kind: ExceptionKind::Expired }) = exception {
+    fn note(&mut self, incident: Option<Incident>) {
+        if let Some(Incident { tag, kind: IncidentKind::Expired }) = incident {
             let entry = self.waiting.iter().position(|entry| entry.2 == tag.0).unwrap();
             let (_, _, number, expires_at) = self.waiting.remove(entry);
             assert!(self.now >= expires_at);
@@ -289,7 +289,7 @@ impl Model {
         for _ in 0..100 {
             match self.etch.poll(self.now) {
                 Step::Command(command) => self.execute(command),
-                Step::Exception(exception) => self.note(Some(exception)),
+                Step::Incident(incident) => self.note(Some(incident)),
                 Step::SleepUntil(instant) => {
                     assert!(instant > self.now, "a wake-up in the past");
                     self.wakes_at = instant;

@@ -39,6 +39,6 @@ fuzz_target!(|bytes: &[u8]| {
             }
             Step::Pause => receiver.on_time(now),
         }
-        check_wakeup(now, Some(receiver.next_wakeup()));
+        check_wakeup(now, receiver.next_wakeup());
     }
 });

@@ -45,7 +45,7 @@ mod requests;
 mod session;
 mod tables;
 
-pub use report::{BrokerCounters, BrokerEvent, BrokerTiming, Role};
+pub use report::{BrokerCounters, BrokerEvent, BrokerRole, BrokerTiming};
 pub use tables::{Conflict, Nodes, Subjects};
 
 use self::session::Session;
@@ -143,7 +143,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
                 self.tx_node = tx_node;
                 self.nodes.learn(self.uid, tx_node);
                 self.state = State::Listening { until: now + self.timing.listen, probe_at: now };
-                self.tell(BrokerEvent::Became(Role::Listening));
+                self.tell(BrokerEvent::Became(BrokerRole::Listening));
             }
             Some(tx_node) => {
                 self.tx_node = tx_node;
@@ -152,18 +152,18 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             None if self.state == State::Off => {}
             None => {
                 self.retire(State::Off);
-                self.tell(BrokerEvent::Became(Role::Off));
+                self.tell(BrokerEvent::Became(BrokerRole::Off));
             }
         }
     }
 
     /// What the broker does.
-    pub const fn role(&self) -> Role {
+    pub const fn role(&self) -> BrokerRole {
         match self.state {
-            State::Off => Role::Off,
-            State::Listening { .. } => Role::Listening,
-            State::Active { .. } => Role::Active,
-            State::Standby { .. } => Role::Standby,
+            State::Off => BrokerRole::Off,
+            State::Listening { .. } => BrokerRole::Listening,
+            State::Active { .. } => BrokerRole::Active,
+            State::Standby { .. } => BrokerRole::Standby,
         }
     }
 
@@ -318,13 +318,13 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
 
     fn activate(&mut self, now: Instant) {
         // A standby has mirrored only what it has heard.
-        if self.role() == Role::Standby {
+        if self.role() == BrokerRole::Standby {
             self.compare_from(now);
         }
         (self.restart_at, self.foreign_at) = (None, None);
         self.session = Session::new();
         self.send_status(now);
-        self.tell(BrokerEvent::Became(Role::Active));
+        self.tell(BrokerEvent::Became(BrokerRole::Active));
         // Searches that the last broker has begun start over.
         self.reply([ConfigurationReply::Restart.encode()]);
     }
@@ -334,7 +334,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         self.retire(State::Standby { dead_at, old });
         // The active broker's table is unknown here; the nodes' answers are the best copy.
         self.compare_from(now);
-        self.tell(BrokerEvent::Became(Role::Standby));
+        self.tell(BrokerEvent::Became(BrokerRole::Standby));
     }
 
     /// Probes from then on, often enough that a lost frame does not matter.

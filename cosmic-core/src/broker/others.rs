@@ -1,6 +1,6 @@
 //! Other brokers, and nodes whose bindings are those of another broker.
 
-use super::{Broker, Role, State, count};
+use super::{Broker, BrokerRole, State, count};
 use crate::can::{Etag, TxNode};
 use crate::protocol::{Answer, BrokerStatus, ConfigurationReply, Supply};
 use crate::time::Instant;
@@ -11,7 +11,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         if supply.sender == TxNode::BROKER {
             self.on_other_broker(now);
             let Answer::Bound(etag) = supply.answer else { return };
-            if self.role() != Role::Active && supply.subject != Subject::RESERVED {
+            if self.role() != BrokerRole::Active && supply.subject != Subject::RESERVED {
                 self.subjects.mirror(supply.subject, etag);
             }
             if self.is_beside_the_old_broker() {
@@ -59,7 +59,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     pub(super) fn on_configuration_reply(&mut self, now: Instant, reply: ConfigurationReply) {
         self.on_other_broker(now);
         let ConfigurationReply::Assigned { uid, tx_node } = reply else { return };
-        if self.role() != Role::Active && !self.is_host(uid, tx_node) {
+        if self.role() != BrokerRole::Active && !self.is_host(uid, tx_node) {
             self.nodes.mirror(uid, tx_node);
         }
         if self.is_beside_the_old_broker() {
@@ -92,7 +92,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     /// nobody was seen to use them. An active broker gives them rather than refuse a node: the frame may be
     /// anybody's, and one of them must not stop the service.
     fn presumed_until(&self, now: Instant) -> Instant {
-        if self.role() == Role::Active { now } else { now + self.timing.unnamed }
+        if self.role() == BrokerRole::Active { now } else { now + self.timing.unnamed }
     }
 
     /// Returns whether another broker answers of which no status was heard.

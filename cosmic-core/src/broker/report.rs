@@ -41,7 +41,7 @@ impl BrokerTiming {
 /// What a broker does.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Role {
+pub enum BrokerRole {
     /// Nothing: its node has no TxNode.
     Off,
     /// It gathers what the nodes know.
@@ -58,7 +58,7 @@ pub enum Role {
 #[non_exhaustive]
 pub enum BrokerEvent {
     /// The role has changed.
-    Became(Role),
+    Became(BrokerRole),
     /// A node has got its id; the table is worth storing.
     Assigned {
         /// The node.

@@ -1,7 +1,7 @@
 //! What the active broker answers to the nodes.
 
-use super::session::Step;
-use super::{Broker, BrokerEvent, Role, count};
+use super::session::Turn;
+use super::{Broker, BrokerEvent, BrokerRole, count};
 use crate::can::Frame;
 use crate::can::TxNode;
 use crate::protocol::{Answer, ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, SupplyEtag};
@@ -10,14 +10,14 @@ use crate::uid::{NodeUid, Subject};
 
 impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     pub(super) fn on_configuration_request(&mut self, now: Instant, request: ConfigurationRequest) {
-        if self.role() != Role::Active {
+        if self.role() != BrokerRole::Active {
             self.expect_an_answer(now);
             return;
         }
         match self.session.on_request(now, request) {
-            Step::Ignored => {}
-            Step::Reply(frame) => self.reply([frame]),
-            Step::Whole(bits) => {
+            Turn::Ignored => {}
+            Turn::Reply(frame) => self.reply([frame]),
+            Turn::Whole(bits) => {
                 let reply = self.assign(now, NodeUid::new(bits));
                 self.session.conclude(request, reply);
             }
@@ -50,7 +50,7 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     }
 
     pub(super) fn on_get_etag(&mut self, now: Instant, requester: TxNode, subject: Subject) {
-        if self.role() != Role::Active {
+        if self.role() != BrokerRole::Active {
             self.expect_an_answer(now);
             return;
         }

@@ -18,7 +18,7 @@ pub(super) struct Session {
 
 /// What a request leads to.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Step {
+pub(super) enum Turn {
     /// Nothing: it is of another stage, from a node that has lost or from a search before this.
     Ignored,
     /// Send this.
@@ -42,19 +42,19 @@ impl Session {
     }
 
     /// Constant time.
-    pub(super) fn on_request(&mut self, now: Instant, request: ConfigurationRequest) -> Step {
+    pub(super) fn on_request(&mut self, now: Instant, request: ConfigurationRequest) -> Turn {
         if request.stage() != self.expected {
             return self.repeat(now, request);
         }
         self.last_heard_at = now;
         self.bits |= u64::from(request.nibble()) << request.stage().shift();
         let Some(prefix) = Prefix::new(self.bits, request.stage()) else {
-            return Step::Whole(self.bits);
+            return Turn::Whole(self.bits);
         };
         self.expected = request.stage().next().unwrap_or(Stage::FIRST);
         let reply = ConfigurationReply::Prefix(prefix).encode();
         self.answered = Some((request, reply));
-        Step::Reply(reply)
+        Turn::Reply(reply)
     }
 
     /// Ends the search, with the reply to the request of the last stage.
@@ -77,15 +77,15 @@ impl Session {
         (!self.is_idle()).then_some(self.last_heard_at + patience)
     }
 
-    fn repeat(&mut self, now: Instant, request: ConfigurationRequest) -> Step {
+    fn repeat(&mut self, now: Instant, request: ConfigurationRequest) -> Turn {
         match self.answered {
             Some((answered, reply))
                 if answered == request && now >= self.last_heard_at + Self::REPEAT_AFTER =>
             {
                 self.last_heard_at = now;
-                Step::Reply(reply)
+                Turn::Reply(reply)
             }
-            _ => Step::Ignored,
+            _ => Turn::Ignored,
         }
     }
 }
@@ -101,7 +101,7 @@ mod tests {
         Instant::from_epoch(Duration::from_millis(milliseconds))
     }
 
-    fn ask(session: &mut Session, now: Instant, stage: u8) -> Step {
+    fn ask(session: &mut Session, now: Instant, stage: u8) -> Turn {
         session.on_request(now, ConfigurationRequest::new(UID, Stage::new(stage).unwrap()))
     }
 
@@ -112,20 +112,20 @@ mod tests {
             let prefix = Prefix::new(UID.get(), Stage::new(stage).unwrap()).unwrap();
             assert_eq!(
                 ask(&mut session, at(0), stage),
-                Step::Reply(ConfigurationReply::Prefix(prefix).encode())
+                Turn::Reply(ConfigurationReply::Prefix(prefix).encode())
             );
         }
-        assert_eq!(ask(&mut session, at(0), 0), Step::Whole(UID.get()));
+        assert_eq!(ask(&mut session, at(0), 0), Turn::Whole(UID.get()));
     }
 
     #[test]
     fn a_lost_reply_is_repeated_and_a_late_request_ignored() {
         let mut session = Session::new();
         let first = ask(&mut session, at(0), 15);
-        assert_eq!(ask(&mut session, at(1), 15), Step::Ignored, "another node with this nibble");
+        assert_eq!(ask(&mut session, at(1), 15), Turn::Ignored, "another node with this nibble");
         assert_eq!(ask(&mut session, at(20), 15), first);
-        assert_eq!(ask(&mut session, at(20), 13), Step::Ignored);
-        assert!(matches!(ask(&mut session, at(21), 14), Step::Reply(_)));
+        assert_eq!(ask(&mut session, at(20), 13), Turn::Ignored);
+        assert!(matches!(ask(&mut session, at(21), 14), Turn::Reply(_)));
     }
 
     #[test]

@@ -75,7 +75,7 @@ impl<
             Some(sent) => self.layer.note_departure(sent.tag, true),
             None => {}
         }
-        if let Some(exception) = departure.exception {
+        if let Some(exception) = departure.incident {
             self.raise_soft(&exception, at);
         }
     }
@@ -138,7 +138,7 @@ impl<
             match self.etch.poll(now) {
                 soft::Step::Command(command) => return Step::Command(command),
                 // What was discarded has left room for the services.
-                soft::Step::Exception(exception) => self.raise_soft(&exception, now),
+                soft::Step::Incident(incident) => self.raise_soft(&incident, now),
                 soft::Step::SleepUntil(instant) => {
                     return Step::SleepUntil(instant.min(self.services_wakeup()));
                 }

@@ -240,18 +240,18 @@ impl<
         }
     }
 
-    fn raise_soft(&mut self, exception: &soft::Exception, at: Instant) {
+    fn raise_soft(&mut self, exception: &soft::Incident, at: Instant) {
         if exception.tag == SERVICES {
             // The services count themselves what they could not send.
             return;
         }
         let kind = match exception.kind {
-            soft::ExceptionKind::MissedDeadline => ExceptionKind::MissedDeadline,
-            soft::ExceptionKind::Expired => {
+            soft::IncidentKind::MissedDeadline => ExceptionKind::MissedDeadline,
+            soft::IncidentKind::Expired => {
                 self.layer.note_departure(exception.tag, false);
                 ExceptionKind::ValidityExpired
             }
-            soft::ExceptionKind::IdentifierLost => {
+            soft::IncidentKind::IdentifierLost => {
                 self.layer.note_departure(exception.tag, false);
                 ExceptionKind::IdentifierLost
             }

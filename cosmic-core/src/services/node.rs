@@ -15,7 +15,7 @@ use crate::uid::Subject;
 
 /// A channel of this node, as far as the services are concerned.
 #[derive(Clone, Copy, Debug)]
-struct Wanted {
+struct KnownChannel {
     subject: Subject,
     etag: Option<Etag>,
     class: Class,
@@ -45,7 +45,7 @@ pub struct NodeServices<
     clock: ClockService,
     configuration: Configuration,
     binding: Binding<CHANNELS>,
-    wanted: [Option<Wanted>; CHANNELS],
+    wanted: [Option<KnownChannel>; CHANNELS],
     declarations: Declarations<DECLARATIONS>,
     interests: Interests<INTERESTS>,
     members: Members<PEERS>,
@@ -214,7 +214,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             // Another subject may have been given the old etag just before.
             self.wanted.iter_mut().flatten().for_each(|wanted| wanted.changed = true);
         }
-        let of_subject = |wanted: &&mut Wanted| wanted.subject == subject;
+        let of_subject = |wanted: &&mut KnownChannel| wanted.subject == subject;
         if let Some(wanted) = self.wanted.iter_mut().flatten().find(of_subject) {
             wanted.etag = Some(etag);
             wanted.changed = true;
@@ -230,7 +230,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     /// The subject has no etag; if it had one, that is another's now.
     fn on_unbound(&mut self, subject: Subject, now: Instant) -> Request {
-        let of_subject = |wanted: &&mut Wanted| wanted.subject == subject;
+        let of_subject = |wanted: &&mut KnownChannel| wanted.subject == subject;
         let wanted = self.wanted.iter_mut().flatten().find(of_subject);
         if let Some(old) = wanted.and_then(|wanted| wanted.etag.take()) {
             self.withdraw_both_sides(now, old);
@@ -276,12 +276,13 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     fn health(&self, now: Instant, view: &NodeView) -> Health {
         let bound = self.wanted.iter().flatten().all(|wanted| wanted.etag.is_some());
-        let state = match () {
-            () if !bound => NodeState::Starting,
-            () if self.clock.is_inhibited() || !self.clock.clock().is_synchronised(now) => {
-                NodeState::HardInhibited
-            }
-            () => NodeState::Operational,
+        let is_silent = self.clock.is_inhibited() || !self.clock.clock().is_synchronised(now);
+        let state = if !bound {
+            NodeState::Starting
+        } else if is_silent {
+            NodeState::HardInhibited
+        } else {
+            NodeState::Operational
         };
         Health {
             state,
@@ -361,7 +362,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         self.binding.on_frame(frame, received_at);
         self.broker.on_frame(frame, received_at);
         if let Some(mismatch) = self.declarations.on_frame(frame, received_at) {
-            let of_etag = |wanted: &&Wanted| wanted.etag == Some(mismatch.etag);
+            let of_etag = |wanted: &&KnownChannel| wanted.etag == Some(mismatch.etag);
             let subject = self.wanted.iter().flatten().find(of_etag).map(|wanted| wanted.subject);
             self.ask(Request::Exception(subject, ExceptionKind::LayoutMismatch));
         }
@@ -376,7 +377,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     fn declare(&mut self, declaration: &Declaration) -> Result<(), TooMany> {
         self.idle_until = Instant::EPOCH;
         let &Declaration { subject, etag, class, layout, publishes, subscribes } = declaration;
-        let known = |place: &Option<Wanted>| place.is_some_and(|wanted| wanted.subject == subject);
+        let known = |place: &Option<KnownChannel>| place.is_some_and(|wanted| wanted.subject == subject);
         let at = (self.wanted.iter().position(known))
             .or_else(|| self.wanted.iter().position(Option::is_none))
             .ok_or(TooMany)?;
@@ -397,7 +398,8 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
                 return Ok(());
             }
         }
-        self.wanted[at] = Some(Wanted { subject, etag, class, layout, publishes, subscribes, changed: true });
+        self.wanted[at] =
+            Some(KnownChannel { subject, etag, class, layout, publishes, subscribes, changed: true });
         Ok(())
     }
 

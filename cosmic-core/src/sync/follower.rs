@@ -3,7 +3,7 @@
 
 use super::estimate::Estimate;
 use super::event::count;
-use super::{ClockEvent, ClockSync, Role};
+use super::{ClockEvent, ClockSync, Standing};
 use crate::can::TxNode;
 use crate::protocol::{FollowUp, Rank, SyncMessage, SyncSequence};
 use crate::time::{Duration, GlobalInstant, Instant};
@@ -85,9 +85,9 @@ impl ClockSync {
             return self.refuse(pair.from);
         }
         match &self.role {
-            Role::Listening { .. } => self.follow_anew(&pair),
-            Role::Following(following) if following.master == pair.from => self.on_own_master(&pair),
-            Role::Following(following) => {
+            Standing::Listening { .. } => self.follow_anew(&pair),
+            Standing::Following(following) if following.master == pair.from => self.on_own_master(&pair),
+            Standing::Following(following) => {
                 let in_office = (following.rank, following.master);
                 // A master that sent a frame lately is in office, even if one of its frames was lost.
                 let alive = pair.received_at.saturating_since(following.heard_at) < self.config.periods(2);
@@ -97,7 +97,7 @@ impl ClockSync {
                     self.change_master(&pair);
                 }
             }
-            Role::Master(_) => {
+            Standing::Master(_) => {
                 if self.own_place().is_some_and(|own| own < (pair.message.rank, pair.from)) {
                     count(&mut self.counters.foreign);
                 } else {
@@ -116,7 +116,7 @@ impl ClockSync {
     }
 
     fn on_own_master(&mut self, pair: &Pair) {
-        let Role::Following(following) = &mut self.role else { return };
+        let Standing::Following(following) = &mut self.role else { return };
         let silent = pair.received_at.saturating_since(following.heard_at);
         if following.sequence == pair.message.sequence && silent < self.config.period {
             // A repeated sync frame and its repeated follow-up.
@@ -142,7 +142,7 @@ impl ClockSync {
     }
 
     fn reject(&mut self, pair: &Pair) {
-        let Role::Following(following) = &mut self.role else { return };
+        let Standing::Following(following) = &mut self.role else { return };
         following.implausible = following.implausible.saturating_add(1);
         let persistent = following.implausible >= IMPLAUSIBLE_LIMIT;
         count(&mut self.counters.implausible);
@@ -155,7 +155,7 @@ impl ClockSync {
     }
 
     fn change_master(&mut self, pair: &Pair) {
-        let Role::Following(following) = &self.role else { return };
+        let Standing::Following(following) = &self.role else { return };
         let estimate = if pair.message.predecessor == following.master {
             self.continuation(&following.estimate, pair)
         } else {
@@ -170,7 +170,7 @@ impl ClockSync {
 
     fn yield_to(&mut self, pair: &Pair) {
         self.tell(ClockEvent::Yielded { to: pair.from });
-        if let Role::Master(mastership) = &self.role {
+        if let Standing::Master(mastership) = &self.role {
             self.last_sequence = mastership.sequence();
         }
         self.given_up_until = pair.received_at + self.config.given_up();
@@ -207,7 +207,7 @@ impl ClockSync {
     }
 
     fn set_following(&mut self, pair: &Pair, estimate: Estimate, trusted_from: Instant) {
-        self.role = Role::Following(Following {
+        self.role = Standing::Following(Following {
             master: pair.from,
             rank: pair.message.rank,
             predecessor: pair.message.predecessor,
@@ -223,7 +223,7 @@ impl ClockSync {
 
     /// Makes the clock after a pair that is part of the estimate.
     fn accept(&mut self, pair: &Pair) {
-        let Role::Following(following) = &self.role else { return };
+        let Standing::Following(following) = &self.role else { return };
         count(&mut self.counters.used);
         let trusted = pair.received_at >= following.trusted_from;
         let valid_until = if trusted { pair.received_at + self.config.holdover() } else { Instant::EPOCH };

@@ -95,7 +95,7 @@ use master::Mastership;
 pub struct ClockSync {
     config: SyncConfig,
     tx_node: Option<TxNode>,
-    role: Role,
+    role: Standing,
     clock: GlobalClock,
     /// When this node becomes master, unless a pair comes before; it takes a while to compute.
     takeover_at: Instant,
@@ -114,7 +114,7 @@ pub struct ClockSync {
 #[derive(Clone, Debug)]
 // The large variant is the usual one, and there is no heap.
 #[allow(clippy::large_enum_variant)]
-enum Role {
+enum Standing {
     /// No master has been heard.
     Listening {
         since: Instant,
@@ -136,7 +136,7 @@ impl ClockSync {
         Ok(Self {
             config,
             tx_node: None,
-            role: Role::Listening { since: now },
+            role: Standing::Listening { since: now },
             clock: GlobalClock::unsynchronised(),
             takeover_at: Instant::FAR_FUTURE,
             given_up_until: Instant::EPOCH,
@@ -175,15 +175,15 @@ impl ClockSync {
 
     /// Is this node the master?
     pub const fn is_master(&self) -> bool {
-        matches!(self.role, Role::Master(_))
+        matches!(self.role, Standing::Master(_))
     }
 
     /// The master that this node follows, which may be itself.
     pub const fn master(&self) -> Option<TxNode> {
         match &self.role {
-            Role::Listening { .. } => None,
-            Role::Following(following) => Some(following.master),
-            Role::Master(_) => self.tx_node,
+            Standing::Listening { .. } => None,
+            Standing::Following(following) => Some(following.master),
+            Standing::Master(_) => self.tx_node,
         }
     }
 
@@ -224,7 +224,7 @@ impl ClockSync {
     /// Takes the local time at which the transmission of a frame that [`ClockSync::poll`] gave out ended.
     /// Other frames are ignored.
     pub fn on_sent(&mut self, frame: &Frame, sent_at: Instant) {
-        let Role::Master(mastership) = &mut self.role else { return };
+        let Standing::Master(mastership) = &mut self.role else { return };
         if SyncMessage::decode(frame)
             .is_some_and(|message| mastership.on_sent(&message, sent_at, &self.clock))
         {
@@ -242,7 +242,7 @@ impl ClockSync {
         }
         let tx_node = self.tx_node?;
         self.end_time_scale(now, tx_node);
-        let Role::Master(mastership) = &mut self.role else { return None };
+        let Standing::Master(mastership) = &mut self.role else { return None };
         if mastership.end_handover(now, tx_node) {
             self.clock = self.clock.with_uncertainty(Uncertainty::NONE);
         }
@@ -279,14 +279,14 @@ impl ClockSync {
     /// When [`ClockSync::poll`] has something to do, if no frame comes before.
     pub fn next_wakeup(&self) -> Instant {
         match &self.role {
-            Role::Listening { .. } => self.takeover_at,
-            Role::Following(following) => {
+            Standing::Listening { .. } => self.takeover_at,
+            Standing::Following(following) => {
                 let loss = following.heard_at + self.config.loss_time_out();
                 let loss = if following.lost { Instant::FAR_FUTURE } else { loss };
                 self.takeover_at.min(loss)
             }
-            Role::Master(_) if self.tx_node.is_none() => Instant::FAR_FUTURE,
-            Role::Master(mastership) => mastership.next_wakeup(),
+            Standing::Master(_) if self.tx_node.is_none() => Instant::FAR_FUTURE,
+            Standing::Master(mastership) => mastership.next_wakeup(),
         }
     }
 
@@ -296,7 +296,7 @@ impl ClockSync {
     }
 
     fn report_loss(&mut self, now: Instant) {
-        let Role::Following(following) = &mut self.role else { return };
+        let Standing::Following(following) = &mut self.role else { return };
         if !following.lost && now >= following.heard_at + self.config.loss_time_out() {
             following.lost = true;
             let master = following.master;
@@ -305,10 +305,10 @@ impl ClockSync {
     }
 
     fn give_up_unheard(&mut self, now: Instant) {
-        let Role::Master(mastership) = &self.role else { return };
+        let Standing::Master(mastership) = &self.role else { return };
         if mastership.is_unheard(now, self.config.loss_time_out()) {
             self.last_sequence = mastership.sequence();
-            self.role = Role::Listening { since: now };
+            self.role = Standing::Listening { since: now };
             self.clock = self.clock.with_uncertainty(Uncertainty::COMPLETE);
             self.schedule_takeover();
             self.tell(ClockEvent::Isolated);
@@ -324,14 +324,14 @@ impl ClockSync {
         let (rank, _) = self.own_place()?;
         let delay = self.config.rank_delay(rank);
         match &self.role {
-            Role::Listening { since } => Some(*since + self.config.cold_start_time_out() + delay),
-            Role::Following(following) => {
+            Standing::Listening { since } => Some(*since + self.config.cold_start_time_out() + delay),
+            Standing::Following(following) => {
                 let early = following.heard_at + self.config.loss_time_out() + delay;
                 let early = early.max(self.given_up_until);
                 let late = following.heard_at + self.config.cold_start_time_out() + delay;
                 Some(if self.continued_clock(following, early).is_some() { early } else { late })
             }
-            Role::Master(_) => None,
+            Standing::Master(_) => None,
         }
     }
 
@@ -354,15 +354,19 @@ impl ClockSync {
     fn become_master(&mut self, now: Instant) {
         let Some(tx_node) = self.tx_node else { return };
         let continued = match &self.role {
-            Role::Following(following) => {
+            Standing::Following(following) => {
                 self.continued_clock(following, now).map(|clock| (clock, following.master))
             }
             _ => None,
         };
         let (clock, predecessor) = continued.unwrap_or_else(|| (self.new_time_scale(now), tx_node));
         self.clock = clock;
-        self.role =
-            Role::Master(Mastership::new(now, self.last_sequence, predecessor, now + self.config.handover()));
+        self.role = Standing::Master(Mastership::new(
+            now,
+            self.last_sequence,
+            predecessor,
+            now + self.config.handover(),
+        ));
         self.takeover_at = Instant::FAR_FUTURE;
         self.pending = None;
         if core::mem::take(&mut self.calendar_mismatch) {
@@ -382,14 +386,14 @@ impl ClockSync {
 
     /// A master whose time scale comes to its end starts another one at the origin.
     fn end_time_scale(&mut self, now: Instant, tx_node: TxNode) {
-        let Role::Master(mastership) = &self.role else { return };
+        let Standing::Master(mastership) = &self.role else { return };
         // No frame that is given out now is sent later than that.
         if self.clock.to_global(now + self.frame_lifetime()) < FollowUp::END {
             return;
         }
         let last = mastership.sequence();
         self.clock = GlobalClock::new(now, GlobalInstant::EPOCH, Rate::ZERO, Uncertainty::COMPLETE);
-        self.role = Role::Master(Mastership::new(now, last, tx_node, now + self.config.handover()));
+        self.role = Standing::Master(Mastership::new(now, last, tx_node, now + self.config.handover()));
         self.tell(ClockEvent::Exhausted);
     }
 

@@ -42,7 +42,7 @@ fn listening() -> SmallBroker {
     let mut broker = Broker::new(uid(0xB1), TIMING, Nodes::new(), Subjects::new());
     assert_eq!(
         (broker.role(), broker.poll(at(0)), broker.next_wakeup()),
-        (Role::Off, None, Instant::FAR_FUTURE)
+        (BrokerRole::Off, None, Instant::FAR_FUTURE)
     );
     broker.set_tx_node(at(0), Some(tx_node(HOST)));
     broker
@@ -60,7 +60,7 @@ fn active(heard: &[Frame]) -> SmallBroker {
         sent,
         [probe(), question(), probe(), question(), probe(), question(), status(0xB1, HOST), restart]
     );
-    assert_eq!(broker.role(), Role::Active);
+    assert_eq!(broker.role(), BrokerRole::Active);
     broker
 }
 
@@ -177,7 +177,7 @@ fn the_lower_uid_stays_active() {
     assert_eq!(frames(&mut broker, at(400)), [status(0xB1, HOST)], "it tells the other at once");
     assert!(frames(&mut broker, at(700)).contains(&probe()), "and compares its table");
     broker.on_frame(&status(0xB0, 3), at(710));
-    assert_eq!(broker.role(), Role::Standby);
+    assert_eq!(broker.role(), BrokerRole::Standby);
     assert_eq!(frames(&mut broker, at(710)), [probe()]);
     assert_eq!(get(&mut broker, at(711), 1), [], "a standby does not answer");
 }
@@ -196,9 +196,9 @@ fn a_standby_waits_the_longer_the_higher_its_id_is() {
         let takeover = at(1000) + TIMING.silence + TIMING.rank_step * u32::from(id);
         assert_eq!(broker.next_wakeup(), takeover);
         let _ = frames(&mut broker, takeover.saturating_sub(Duration::from_ticks(1)));
-        assert_eq!(broker.role(), Role::Standby);
+        assert_eq!(broker.role(), BrokerRole::Standby);
         let _ = frames(&mut broker, takeover);
-        assert_eq!(broker.role(), Role::Active);
+        assert_eq!(broker.role(), BrokerRole::Active);
     }
 }
 
@@ -207,16 +207,16 @@ fn beside_the_old_broker_only_a_request_without_an_answer_counts() {
     let mut broker = listening();
     let reply = ConfigurationReply::Assigned { uid: uid(5), tx_node: tx_node(0x7D) };
     broker.on_frame(&reply.encode(), at(5));
-    assert_eq!(broker.role(), Role::Standby);
+    assert_eq!(broker.role(), BrokerRole::Standby);
     let _ = frames(&mut broker, at(100_000));
-    assert_eq!(broker.role(), Role::Standby);
+    assert_eq!(broker.role(), BrokerRole::Standby);
     assert_eq!(get(&mut broker, at(100_001), 1), []);
     supply(TxNode::BROKER, 1, Answer::Bound(TOP)).iter().for_each(|half| broker.on_frame(half, at(100_002)));
     let _ = frames(&mut broker, at(200_000));
-    assert_eq!(broker.role(), Role::Standby, "it was answered");
+    assert_eq!(broker.role(), BrokerRole::Standby, "it was answered");
     assert_eq!(get(&mut broker, at(200_001), 2), []);
     let _ = frames(&mut broker, at(201_003));
-    assert_eq!(broker.role(), Role::Active);
+    assert_eq!(broker.role(), BrokerRole::Active);
     assert_eq!(broker.nodes().uid_of(tx_node(0x7D)), Some(uid(5)));
     assert_eq!(broker.subjects().etag_of(subject(1)), Some(TOP));
 }
@@ -226,7 +226,7 @@ fn a_broker_whose_node_loses_its_id_is_off() {
     let mut broker = active(&[]);
     broker.set_tx_node(at(400), None);
     assert_eq!(get(&mut broker, at(400), 1), []);
-    assert_eq!((broker.role(), broker.next_wakeup()), (Role::Off, Instant::FAR_FUTURE));
+    assert_eq!((broker.role(), broker.next_wakeup()), (BrokerRole::Off, Instant::FAR_FUTURE));
 }
 
 #[test]
@@ -258,16 +258,16 @@ fn a_broker_that_sends_nothing_unasked_is_noticed_by_its_answer() {
     assert_eq!(frames(&mut broker, at(0)), ["1F404008#", "1F404002#FFFFFFFFFFFFFFFF"].map(from_candump));
     // It has handed out one etag before; this is the next.
     hear(&mut broker, at(1), &["1F5FC004#01003FFEFFFFFFFF", "1F5FC004#01013FFEFFFFFFFF"]);
-    assert_eq!(broker.role(), Role::Standby);
+    assert_eq!(broker.role(), BrokerRole::Standby);
     let used_up = BrokerEvent::EtagsUsedUp { unnamed: 2 };
-    assert_eq!(events(&mut broker, at(1)), [BrokerEvent::Became(Role::Standby), used_up]);
+    assert_eq!(events(&mut broker, at(1)), [BrokerEvent::Became(BrokerRole::Standby), used_up]);
     assert_eq!(events(&mut broker, at(1000)), []);
     assert_eq!(broker.next_wakeup(), at(1001));
     assert_eq!(events(&mut broker, at(1001)), [BrokerEvent::ForeignBroker]);
     assert_eq!(events(&mut broker, at(50_000)), [], "told once");
     // It dies; nobody answers the next request.
     assert_eq!(get(&mut broker, at(50_000), 1), []);
-    assert_eq!(events(&mut broker, at(51_002)), [BrokerEvent::Became(Role::Active)]);
+    assert_eq!(events(&mut broker, at(51_002)), [BrokerEvent::Became(BrokerRole::Active)]);
     // All that it had handed out, or may have, is kept for a minute.
     let _ = frames(&mut broker, at(60_000));
     assert_eq!(get(&mut broker, at(60_000), 1), supply(TxNode::BROKER, 1, Answer::Refused));
@@ -357,7 +357,7 @@ fn the_hosts_own_id_is_never_given_away() {
     for now in 0..700 {
         let _ = frames(&mut broker, at(now));
     }
-    assert_eq!(broker.role(), Role::Active);
+    assert_eq!(broker.role(), BrokerRole::Active);
     hear(
         &mut broker,
         at(700),

@@ -117,8 +117,8 @@ impl Node {
         self.binding.etag_of(subject(of))
     }
 
-    pub(crate) fn role(&self) -> Role {
-        self.broker.as_ref().map_or(Role::Off, Broker::role)
+    pub(crate) fn role(&self) -> BrokerRole {
+        self.broker.as_ref().map_or(BrokerRole::Off, Broker::role)
     }
 
     fn poll_configuration(&mut self, now: Instant, outbox: &mut VecDeque<Frame>) {

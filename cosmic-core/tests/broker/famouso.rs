@@ -258,7 +258,7 @@ fn our_broker_serves_nodes_of_both_kinds() {
 fn an_old_client_that_dies_does_not_block_the_others() {
     let mut ether = Ether::new(1);
     ether.add(Node::fixed(ether.now, 0xB0, 1, 1).hosting(Nodes::new(), Subjects::new()));
-    ether.run_until(SECOND, |ether| ether.node(0).role() == Role::Active);
+    ether.run_until(SECOND, |ether| ether.node(0).role() == BrokerRole::Active);
     ether.run(Duration::from_millis(10));
     let dying = ether.add(OldClient::new(0x1000_0000_0000_0000, 1));
     ether.add(OldClient::new(0x2000_0000_0000_0000, 1));
@@ -278,13 +278,13 @@ fn a_standby_takes_over_from_the_old_broker_when_that_no_longer_answers() {
     // It hears the old broker serve a node while it listens.
     ether.add(Node::asking(ether.now, 0x11, 3).with_subjects([1, 2]));
     ether.run(SECOND * 10);
-    assert_eq!(ether.node(standby).role(), Role::Standby, "nobody asks, so nobody is missed");
+    assert_eq!(ether.node(standby).role(), BrokerRole::Standby, "nobody asks, so nobody is missed");
     ether.kill(old);
     ether.run(SECOND * 10);
-    assert_eq!(ether.node(standby).role(), Role::Standby);
+    assert_eq!(ether.node(standby).role(), BrokerRole::Standby);
     ether.add(Node::asking(ether.now, 0x12, 4).with_subjects([1, 2, 3]));
     ether.run_until(SECOND * 5, |ether| all_names(ether, 1).is_some());
-    assert_eq!(ether.node(standby).role(), Role::Active);
+    assert_eq!(ether.node(standby).role(), BrokerRole::Active);
     assert_unique(&ether, 1);
 }
 
@@ -300,13 +300,13 @@ fn our_broker_stands_by_beside_a_quiet_old_one() {
         ether.run(SECOND * 5);
         let ours = ether.add(Node::fixed(ether.now, 0xB0, 1, seed).hosting(Nodes::new(), Subjects::new()));
         ether.run(SECOND * 5);
-        assert_eq!(ether.node(ours).role(), Role::Standby);
+        assert_eq!(ether.node(ours).role(), BrokerRole::Standby);
         assert!(ether.node(ours).broker_events.contains(&BrokerEvent::ForeignBroker));
         // The old one dies. What it gave to its old client, which says nothing, is not given again.
         ether.kill(0);
         ether.add(Node::asking(ether.now, 0x11, seed).with_subjects([2, 3, 4]));
         ether.run_until(SECOND * 5, |ether| all_names(ether, 1).is_some());
-        assert_eq!(ether.node(ours).role(), Role::Active);
+        assert_eq!(ether.node(ours).role(), BrokerRole::Active);
         assert_unique(&ether, 1);
     }
 }
@@ -316,7 +316,7 @@ fn a_standby_knows_the_ids_of_old_clients() {
     let mut ether = Ether::new(4);
     ether.add(Node::fixed(ether.now, 0xB0, 1, 1).hosting(Nodes::new(), Subjects::new()));
     let standby = ether.add(Node::fixed(ether.now, 0xB1, 2, 1).hosting(Nodes::new(), Subjects::new()));
-    ether.run_until(SECOND * 2, |ether| ether.node(standby).role() == Role::Standby);
+    ether.run_until(SECOND * 2, |ether| ether.node(standby).role() == BrokerRole::Standby);
     ether.add(OldClient::new(0x1234, 1));
     ether.run_until(SECOND, |ether| all_names(ether, 1).is_some());
     let mirror = ether.node(standby).broker.as_ref().unwrap();

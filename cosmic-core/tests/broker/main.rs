@@ -21,7 +21,7 @@ fn with_broker(seed: u64) -> Ether {
     let mut ether = Ether::new(seed);
     let host = Node::fixed(ether.now, 0xB0, 1, seed).hosting(Nodes::new(), Subjects::new());
     ether.add(host);
-    ether.run_until(SECOND, |ether| ether.node(0).role() == Role::Active);
+    ether.run_until(SECOND, |ether| ether.node(0).role() == BrokerRole::Active);
     ether
 }
 
@@ -148,7 +148,7 @@ fn a_broker_restarts_with_its_table() {
     (0..6).for_each(|at| ether.kill(at));
     ether.run(SECOND);
     ether.replace(0, Node::fixed(ether.now, 0xB0, 1, 0).hosting(nodes, subjects));
-    ether.run_until(SECOND, |ether| ether.node(0).role() == Role::Active);
+    ether.run_until(SECOND, |ether| ether.node(0).role() == BrokerRole::Active);
     for at in (0..5).rev() {
         let node = Node::asking(ether.now, 0x100 + at, at).with_subjects([10 + at]);
         ether.replace(1 + at as usize, node);
@@ -188,7 +188,7 @@ fn a_standby_takes_over_with_the_same_table() {
         let mut ether = five_nodes(seed);
         // A standby that comes late, on a node that got its id from the active broker.
         let standby = ether.add(Node::asking(ether.now, 0xB1, 1).hosting(Nodes::new(), Subjects::new()));
-        ether.run_until(SECOND, |ether| ether.node(standby).role() == Role::Standby);
+        ether.run_until(SECOND, |ether| ether.node(standby).role() == BrokerRole::Standby);
         // This one is configured and bound while it stands by.
         let late = ether.add(Node::asking(ether.now, 0x200, 1).with_subjects([30]));
         ether.run_until(SECOND, |ether| ether.node(late).etag_of(30).is_some());
@@ -196,7 +196,7 @@ fn a_standby_takes_over_with_the_same_table() {
         let nodes: BTreeSet<_> = active.nodes().entries().filter(|(of, _)| *of != uid(0xB0)).collect();
         let subjects: BTreeSet<_> = active.subjects().entries().collect();
         ether.kill(0);
-        let took = ether.run_until(SECOND * 3, |ether| ether.node(standby).role() == Role::Active);
+        let took = ether.run_until(SECOND * 3, |ether| ether.node(standby).role() == BrokerRole::Active);
         assert!(took > Duration::from_millis(900), "{took}");
         let mirror = ether.node(standby).broker.as_ref().unwrap();
         assert_eq!(mirror.nodes().entries().collect::<BTreeSet<_>>(), nodes);
@@ -208,7 +208,10 @@ fn a_standby_takes_over_with_the_same_table() {
         ether.replace(0, Node::fixed(ether.now, 0xB0, 1, 9).hosting(Nodes::new(), Subjects::new()));
         ether.run(SECOND * 5);
         // It hears the active one before it becomes active itself.
-        assert_eq!([ether.node(0).role(), ether.node(standby).role()], [Role::Standby, Role::Active]);
+        assert_eq!(
+            [ether.node(0).role(), ether.node(standby).role()],
+            [BrokerRole::Standby, BrokerRole::Active]
+        );
         assert_ids_differ(&ether);
     }
 }
@@ -229,7 +232,13 @@ fn of_two_brokers_that_start_together_one_stands_by() {
         });
         ether.run(SECOND * 3);
         let roles = [ether.node(0).role(), ether.node(1).role()];
-        assert!(matches!(roles, [Role::Active, Role::Standby] | [Role::Standby, Role::Active]), "{roles:?}");
+        assert!(
+            matches!(
+                roles,
+                [BrokerRole::Active, BrokerRole::Standby] | [BrokerRole::Standby, BrokerRole::Active]
+            ),
+            "{roles:?}"
+        );
         assert_ids_differ(&ether);
     }
 }
@@ -256,7 +265,7 @@ fn two_halves_of_a_bus_come_together() {
         ether.run(SECOND * 15);
         assert_eq!(
             [ether.node(0).role(), ether.node(1).role()],
-            [Role::Standby, Role::Active],
+            [BrokerRole::Standby, BrokerRole::Active],
             "seed {seed}"
         );
         assert!(bound(&ether), "seed {seed}");
@@ -282,7 +291,7 @@ fn halves_of_a_bus_agree_in_the_end_though_frames_are_lost() {
         ether.run(SECOND * 30);
         assert_eq!(
             [ether.node(0).role(), ether.node(1).role()],
-            [Role::Standby, Role::Active],
+            [BrokerRole::Standby, BrokerRole::Active],
             "seed {seed}"
         );
         assert!(all_configured(&ether), "seed {seed}");

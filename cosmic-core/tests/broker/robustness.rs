@@ -83,7 +83,7 @@ proptest! {
         ether.add(Stranger { frames: frames.into(), next_at: ether.now });
         // What it seemed to have handed out as a broker is kept for a minute.
         ether.run(second * 65);
-        prop_assert_eq!(ether.node(0).role(), Role::Active);
+        prop_assert_eq!(ether.node(0).role(), BrokerRole::Active);
         // A newcomer is served.
         let newcomer = ether.add(Node::asking(ether.now, 0x102, seed ^ 2).with_subjects([1, 4]));
         ether.run(second * 30);

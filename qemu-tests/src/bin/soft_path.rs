@@ -9,7 +9,7 @@
 use core::hint::black_box;
 
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
-use cosmic_core::network::soft::{Etch, Exception, Full, Outgoing, PriorityMap, RESERVED, Step, Tag};
+use cosmic_core::network::soft::{Etch, Full, Incident, Outgoing, PriorityMap, RESERVED, Step, Tag};
 use cosmic_core::time::{Duration, Instant};
 use qemu_tests::controller::{Controller, Sender, Sent};
 use qemu_tests::mono::Mono;
@@ -151,7 +151,7 @@ impl Node {
                     self.print("sent", frame.payload.as_slice()[0]);
                     let departure = self.etch.on_outcome(mailbox, Outcome::Sent, at);
                     assert_eq!(departure.sent.map(|sent| sent.frame.payload), Some(frame.payload));
-                    self.report(departure.exception);
+                    self.report(departure.incident);
                 }
             }
         }
@@ -162,7 +162,7 @@ impl Node {
         loop {
             match self.etch.poll(self.now) {
                 Step::Command(command) => self.execute(command),
-                Step::Exception(exception) => self.report(Some(exception)),
+                Step::Incident(exception) => self.report(Some(exception)),
                 Step::SleepUntil(instant) => return instant,
             }
         }
@@ -180,12 +180,12 @@ impl Node {
         if let Some((mailbox, outcome)) = self.controller.execute(command, self.now) {
             let departure = self.etch.on_outcome(mailbox, outcome, self.now);
             assert_eq!(departure.sent, None);
-            self.report(departure.exception);
+            self.report(departure.incident);
         }
     }
 
-    fn report(&self, exception: Option<Exception>) {
-        if let Some(Exception { tag, kind }) = exception {
+    fn report(&self, exception: Option<Incident>) {
+        if let Some(Incident { tag, kind }) = exception {
             self.print("exception:", format_args!("{} {kind:?}", tag.0));
         }
     }

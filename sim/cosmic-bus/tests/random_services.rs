@@ -8,7 +8,7 @@ mod service_cluster;
 
 use cosmic_bus::trace::{TraceEvent, TraceKind};
 use cosmic_bus::{ErrorLevel, StationId, Transmitter, VirtualInstant};
-use cosmic_core::broker::{Broker, Role};
+use cosmic_core::broker::{Broker, BrokerRole};
 use cosmic_core::can::{Etag, Frame, TxNode};
 use cosmic_core::protocol::Side;
 use service_cluster::{CHANNELS, Label, MILLISECOND, Sample, Scenario, subject};
@@ -78,7 +78,7 @@ fn check_agreement(scenario: &mut Scenario, victim: usize, dead: Option<TxNode>)
             let services = node.half().services();
             let synchronised = services.clock().clock().is_synchronised(now);
             assert!(synchronised, "node {} is not synchronised", index + 1);
-            active += usize::from(services.broker().as_ref().map(Broker::role) == Some(Role::Active));
+            active += usize::from(services.broker().as_ref().map(Broker::role) == Some(BrokerRole::Active));
             masters += usize::from(services.clock().is_master());
             if let Some(dead) = dead {
                 let members = services.members();

@@ -2,7 +2,7 @@
 
 use cosmic_bus::cluster::{Access, Application, ClockErrors, Cluster, NodeConfig};
 use cosmic_bus::{Bus, Chance, FaultModel, StationId, VirtualInstant};
-use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Role, Subjects};
+use cosmic_core::broker::{Broker, BrokerRole, BrokerTiming, Nodes, Subjects};
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Etag, TxNode};
 use cosmic_core::client::ConfigurationEvent;
@@ -281,7 +281,7 @@ fn a_standby_takes_over_and_bindings_stay() {
     cluster.power_off(stations[0]);
     run(&mut cluster, 4_000);
     let role = cluster.visit(stations[1], |node| node.half().services().broker().as_ref().map(Broker::role));
-    assert_eq!(role, Some(Some(Role::Active)));
+    assert_eq!(role, Some(Some(BrokerRole::Active)));
     // A newcomer is served by the standby, with the same etag.
     let newcomer = cluster.add(config(kinds[3], &journal));
     cluster.power_on(newcomer);

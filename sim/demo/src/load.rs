@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, VecDeque};
 use cosmic_bus::{EventKind, VirtualInstant};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::event_layer::Importance;
-use cosmic_core::network::soft::{Etch, ExceptionKind, Outgoing, PriorityMap, Step, Tag};
+use cosmic_core::network::soft::{Etch, IncidentKind, Outgoing, PriorityMap, Step, Tag};
 use cosmic_core::time::{Duration, Instant};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -128,7 +128,7 @@ impl Background {
         loop {
             match self.etch.poll(local(now)) {
                 Step::Command(command) => commands.push(command),
-                Step::Exception(exception) => self.count(exception.kind),
+                Step::Incident(exception) => self.count(exception.kind),
                 Step::SleepUntil(instant) => {
                     self.polls_at = instant;
                     return;
@@ -168,15 +168,15 @@ impl Background {
             self.queued = self.queued.saturating_sub(1);
             self.log.sent[usize::from(mailbox == Mailbox::NonRealTime)] += 1;
         }
-        if let Some(exception) = departure.exception {
+        if let Some(exception) = departure.incident {
             self.count(exception.kind);
         }
     }
 
-    fn count(&mut self, kind: ExceptionKind) {
+    fn count(&mut self, kind: IncidentKind) {
         match kind {
-            ExceptionKind::MissedDeadline => self.log.missed += 1,
-            ExceptionKind::Expired => {
+            IncidentKind::MissedDeadline => self.log.missed += 1,
+            IncidentKind::Expired => {
                 self.log.expired += 1;
                 self.queued = self.queued.saturating_sub(1);
             }

@@ -201,10 +201,12 @@ impl<const N: usize> Dispatcher<N> {
             return Step::Continue;
         }
         let counters = &mut buffer.counters;
-        let count = match () {
-            () if !fresh => &mut counters.unused,
-            () if silent => &mut counters.inhibited,
-            () => &mut counters.skipped,
+        let count = if !fresh {
+            &mut counters.unused
+        } else if silent {
+            &mut counters.inhibited
+        } else {
+            &mut counters.skipped
         };
         *count = count.wrapping_add(1);
         Step::Notify(BufferId(slot.buffer))

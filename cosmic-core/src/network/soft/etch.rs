@@ -1,6 +1,6 @@
 //! The event-triggered channel handler: earliest deadline first by the priority field.
 
-use super::lane::{Attended, Departure, Entry, Exception, Lane, Outgoing, RESERVED, Report, Tag};
+use super::lane::{Attended, Departure, Entry, Incident, Lane, Outgoing, RESERVED, Report, Tag};
 use crate::calendar::Calendar;
 use crate::can::{BitRate, Command, Etag, Frame, Mailbox, Outcome, Payload, Priority};
 use crate::time::{Duration, Instant};
@@ -84,7 +84,7 @@ pub enum Step {
     /// Have the driver carry this out, then poll again.
     Command(Command),
     /// Tell the publisher, then poll again.
-    Exception(Exception),
+    Incident(Incident),
     /// Nothing is to be done before this instant, if nothing is submitted and no outcome comes.
     SleepUntil(Instant),
 }
@@ -289,8 +289,8 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
             Outcome::Sent => self.counters.sent = self.counters.sent.wrapping_add(1),
             Outcome::Withdrawn => self.counters.withdrawn = self.counters.withdrawn.wrapping_add(1),
         }
-        if let Some(exception) = &departure.exception {
-            self.count(exception);
+        if let Some(incident) = &departure.incident {
+            self.count(incident);
         }
         departure
     }
@@ -300,9 +300,9 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         if let Some(attended) = self.attend(now) {
             return match attended {
                 Attended::Command(command) => Step::Command(command),
-                Attended::Exception(exception) => {
-                    self.count(&exception);
-                    Step::Exception(exception)
+                Attended::Incident(incident) => {
+                    self.count(&incident);
+                    Step::Incident(incident)
                 }
             };
         }
@@ -356,11 +356,11 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         Full
     }
 
-    fn count(&mut self, exception: &Exception) {
-        let count = match exception.kind {
-            super::ExceptionKind::MissedDeadline => &mut self.counters.missed,
-            super::ExceptionKind::Expired => &mut self.counters.expired,
-            super::ExceptionKind::IdentifierLost => &mut self.counters.identifier_lost,
+    fn count(&mut self, incident: &Incident) {
+        let count = match incident.kind {
+            super::IncidentKind::MissedDeadline => &mut self.counters.missed,
+            super::IncidentKind::Expired => &mut self.counters.expired,
+            super::IncidentKind::IdentifierLost => &mut self.counters.identifier_lost,
         };
         *count = count.wrapping_add(1);
     }

@@ -31,27 +31,27 @@ pub struct Outgoing {
     pub tag: Tag,
     /// The frame. Its priority stands for a non real-time event and is replaced for a soft one.
     pub frame: Frame,
-    /// It should have been sent by now. Later is an exception, and it is still sent.
+    /// It should have been sent by now. Later is an incident, and it is still sent.
     pub deadline: Instant,
-    /// It is of no use any more. What is still not sent then is discarded, with an exception.
+    /// It is of no use any more. What is still not sent then is discarded, with an incident.
     pub expires_at: Instant,
 }
 
 /// Something went wrong with an event that was handed to the path.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Exception {
+pub struct Incident {
     /// Where the event comes from.
     pub tag: Tag,
     /// What went wrong.
-    pub kind: ExceptionKind,
+    pub kind: IncidentKind,
 }
 
 /// What can go wrong with an event on its way to the bus.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum ExceptionKind {
+pub enum IncidentKind {
     /// It has not been sent by its deadline; it is sent later.
     MissedDeadline,
     /// It expired before it was sent, and has been discarded.
@@ -67,7 +67,7 @@ pub struct Departure {
     /// It was sent.
     pub sent: Option<Outgoing>,
     /// The publisher must be told of this.
-    pub exception: Option<Exception>,
+    pub incident: Option<Incident>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -98,22 +98,22 @@ impl Entry {
     }
 
     /// What has become of it by now, if anything. The caller discards what has expired.
-    fn examine(&mut self, now: Instant) -> Option<ExceptionKind> {
+    fn examine(&mut self, now: Instant) -> Option<IncidentKind> {
         if now >= self.outgoing.expires_at {
             return Some(self.expiry());
         }
         if self.report == Report::Deadline && now >= self.outgoing.deadline {
             self.report = Report::Expiry;
-            return Some(ExceptionKind::MissedDeadline);
+            return Some(IncidentKind::MissedDeadline);
         }
         None
     }
 
     /// Why it is discarded when it expires.
-    fn expiry(&self) -> ExceptionKind {
+    fn expiry(&self) -> IncidentKind {
         match self.report {
-            Report::Deadline | Report::Expiry => ExceptionKind::Expired,
-            Report::IdentifierLost => ExceptionKind::IdentifierLost,
+            Report::Deadline | Report::Expiry => IncidentKind::Expired,
+            Report::IdentifierLost => IncidentKind::IdentifierLost,
         }
     }
 
@@ -125,8 +125,8 @@ impl Entry {
         }
     }
 
-    fn exception(&self, kind: ExceptionKind) -> Exception {
-        Exception { tag: self.outgoing.tag, kind }
+    fn incident(&self, kind: IncidentKind) -> Incident {
+        Incident { tag: self.outgoing.tag, kind }
     }
 }
 
@@ -138,7 +138,7 @@ struct Loaded {
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Content {
+enum InMailbox {
     Empty,
     Loaded(Loaded),
     /// A withdrawal has been requested. What comes back goes to the queue, or nowhere.
@@ -156,25 +156,25 @@ enum AndThen {
 pub(super) struct Lane<const N: usize> {
     mailbox: Mailbox,
     queue: Queue<Entry, N>,
-    content: Content,
+    content: InMailbox,
     /// No entry in the queue needs attention before this.
     attention_at: Instant,
 }
 
 impl<const N: usize> Lane<N> {
     pub(super) const fn new(mailbox: Mailbox) -> Self {
-        Self { mailbox, queue: Queue::new(), content: Content::Empty, attention_at: Instant::FAR_FUTURE }
+        Self { mailbox, queue: Queue::new(), content: InMailbox::Empty, attention_at: Instant::FAR_FUTURE }
     }
 
     /// Frames that wait or are in the mailbox.
     pub(super) fn len(&self) -> usize {
-        self.queue.len() + usize::from(!matches!(self.content, Content::Empty))
+        self.queue.len() + usize::from(!matches!(self.content, InMailbox::Empty))
     }
 
     /// Is the mailbox free and nothing before a new event?
     #[inline]
     pub(super) fn is_idle(&self) -> bool {
-        self.queue.is_empty() && matches!(self.content, Content::Empty)
+        self.queue.is_empty() && matches!(self.content, InMailbox::Empty)
     }
 
     /// Leaves `reserve` places free. The frame in the mailbox comes back to the queue if it is withdrawn,
@@ -190,23 +190,23 @@ impl<const N: usize> Lane<N> {
     /// Puts an entry into the mailbox past the queue; only when the lane [is idle](Self::is_idle).
     #[inline]
     pub(super) fn load_directly(&mut self, key: u64, entry: Entry) {
-        self.content = Content::Loaded(Loaded { key, order: 0, entry });
+        self.content = InMailbox::Loaded(Loaded { key, order: 0, entry });
     }
 
     /// Loads the head, if the mailbox is free.
     pub(super) fn load(&mut self) -> Option<Outgoing> {
-        if !matches!(self.content, Content::Empty) {
+        if !matches!(self.content, InMailbox::Empty) {
             return None;
         }
         let (key, order, entry) = self.queue.pop()?;
-        self.content = Content::Loaded(Loaded { key, order, entry });
+        self.content = InMailbox::Loaded(Loaded { key, order, entry });
         Some(entry.outgoing)
     }
 
     /// Does an event wait that goes before the one in the mailbox?
     pub(super) fn is_overtaken(&self) -> bool {
         match (&self.content, self.queue.first_key()) {
-            (Content::Loaded(loaded), Some(first)) => first < loaded.key,
+            (InMailbox::Loaded(loaded), Some(first)) => first < loaded.key,
             _ => false,
         }
     }
@@ -214,7 +214,7 @@ impl<const N: usize> Lane<N> {
     /// What is in the mailbox and not being withdrawn.
     pub(super) fn loaded(&self) -> Option<&Outgoing> {
         match &self.content {
-            Content::Loaded(loaded) => Some(&loaded.entry.outgoing),
+            InMailbox::Loaded(loaded) => Some(&loaded.entry.outgoing),
             _ => None,
         }
     }
@@ -225,8 +225,8 @@ impl<const N: usize> Lane<N> {
     }
 
     fn withdraw_and(&mut self, then: AndThen) -> Option<Command> {
-        let Content::Loaded(loaded) = self.content else { return None };
-        self.content = Content::Withdrawing(loaded, then);
+        let InMailbox::Loaded(loaded) = self.content else { return None };
+        self.content = InMailbox::Withdrawing(loaded, then);
         Some(Command::Withdraw(self.mailbox))
     }
 
@@ -235,9 +235,9 @@ impl<const N: usize> Lane<N> {
     pub(super) fn recall(&mut self, which: impl Fn(&Outgoing) -> bool) -> Option<Command> {
         while self.queue.take_where(|entry| which(&entry.outgoing)).is_some() {}
         match self.content {
-            Content::Loaded(loaded) if which(&loaded.entry.outgoing) => self.withdraw_and(AndThen::Forget),
-            Content::Withdrawing(loaded, _) if which(&loaded.entry.outgoing) => {
-                self.content = Content::Withdrawing(loaded, AndThen::Forget);
+            InMailbox::Loaded(loaded) if which(&loaded.entry.outgoing) => self.withdraw_and(AndThen::Forget),
+            InMailbox::Withdrawing(loaded, _) if which(&loaded.entry.outgoing) => {
+                self.content = InMailbox::Withdrawing(loaded, AndThen::Forget);
                 None
             }
             _ => None,
@@ -259,13 +259,13 @@ impl<const N: usize> Lane<N> {
             renamed(&mut entry.outgoing);
         }
         match &mut self.content {
-            Content::Loaded(loaded) => {
+            InMailbox::Loaded(loaded) => {
                 if renamed(&mut loaded.entry.outgoing) {
                     return self.withdraw();
                 }
             }
-            Content::Withdrawing(loaded, _) => _ = renamed(&mut loaded.entry.outgoing),
-            Content::Empty => {}
+            InMailbox::Withdrawing(loaded, _) => _ = renamed(&mut loaded.entry.outgoing),
+            InMailbox::Empty => {}
         }
         None
     }
@@ -276,12 +276,12 @@ impl<const N: usize> Lane<N> {
             entry.lose_identifier(now);
         }
         match &mut self.content {
-            Content::Loaded(loaded) if which(&loaded.entry.outgoing) => loaded.entry.lose_identifier(now),
-            Content::Withdrawing(loaded, then @ AndThen::Requeue) if which(&loaded.entry.outgoing) => {
+            InMailbox::Loaded(loaded) if which(&loaded.entry.outgoing) => loaded.entry.lose_identifier(now),
+            InMailbox::Withdrawing(loaded, then @ AndThen::Requeue) if which(&loaded.entry.outgoing) => {
                 loaded.entry.lose_identifier(now);
                 *then = AndThen::Expire;
             }
-            Content::Withdrawing(..) | Content::Loaded(_) | Content::Empty => {}
+            InMailbox::Withdrawing(..) | InMailbox::Loaded(_) | InMailbox::Empty => {}
         }
         // The next call looks through all of them.
         self.attention_at = Instant::EPOCH;
@@ -290,17 +290,17 @@ impl<const N: usize> Lane<N> {
     /// The mailbox has become empty.
     pub(super) fn on_outcome(&mut self, outcome: Outcome, at: Instant) -> Departure {
         let (loaded, then) = match self.content {
-            Content::Empty => return Departure::default(),
-            Content::Loaded(loaded) => (loaded, AndThen::Requeue),
-            Content::Withdrawing(loaded, then) => (loaded, then),
+            InMailbox::Empty => return Departure::default(),
+            InMailbox::Loaded(loaded) => (loaded, AndThen::Requeue),
+            InMailbox::Withdrawing(loaded, then) => (loaded, then),
         };
-        self.content = Content::Empty;
+        self.content = InMailbox::Empty;
         let mut departure = Departure::default();
         match (outcome, then) {
             (Outcome::Sent, _) => {
                 departure.sent = Some(loaded.entry.outgoing);
                 if loaded.entry.report == Report::Deadline && at > loaded.entry.outgoing.deadline {
-                    departure.exception = Some(loaded.entry.exception(ExceptionKind::MissedDeadline));
+                    departure.incident = Some(loaded.entry.incident(IncidentKind::MissedDeadline));
                 }
             }
             (Outcome::Withdrawn, AndThen::Requeue) => {
@@ -309,7 +309,7 @@ impl<const N: usize> Lane<N> {
                 let _ = self.queue.put_back(loaded.key, loaded.order, loaded.entry);
             }
             (Outcome::Withdrawn, AndThen::Expire) => {
-                departure.exception = Some(loaded.entry.exception(loaded.entry.expiry()));
+                departure.incident = Some(loaded.entry.incident(loaded.entry.expiry()));
             }
             (Outcome::Withdrawn, AndThen::Forget) => {}
         }
@@ -323,7 +323,7 @@ impl<const N: usize> Lane<N> {
 
     pub(super) fn next_attention(&self) -> Instant {
         match &self.content {
-            Content::Loaded(loaded) => self.attention_at.min(loaded.entry.attention_at()),
+            InMailbox::Loaded(loaded) => self.attention_at.min(loaded.entry.attention_at()),
             _ => self.attention_at,
         }
     }
@@ -331,12 +331,12 @@ impl<const N: usize> Lane<N> {
     /// Reports or discards one event: O(N). What is discarded from the mailbox is reported when it has
     /// left it.
     pub(super) fn attend(&mut self, now: Instant) -> Option<Attended> {
-        if let Content::Loaded(loaded) = &mut self.content {
+        if let InMailbox::Loaded(loaded) = &mut self.content {
             match loaded.entry.examine(now) {
-                Some(ExceptionKind::Expired | ExceptionKind::IdentifierLost) => {
+                Some(IncidentKind::Expired | IncidentKind::IdentifierLost) => {
                     return self.withdraw_and(AndThen::Expire).map(Attended::Command);
                 }
-                Some(kind) => return Some(Attended::Exception(loaded.entry.exception(kind))),
+                Some(kind) => return Some(Attended::Incident(loaded.entry.incident(kind))),
                 None => {}
             }
         }
@@ -345,12 +345,12 @@ impl<const N: usize> Lane<N> {
         }
         let expired = |entry: &Entry| now >= entry.outgoing.expires_at;
         if let Some(entry) = self.queue.take_where(expired) {
-            return Some(Attended::Exception(entry.exception(entry.expiry())));
+            return Some(Attended::Incident(entry.incident(entry.expiry())));
         }
         let mut next = Instant::FAR_FUTURE;
         for entry in self.queue.iter_mut() {
             if let Some(kind) = entry.examine(now) {
-                return Some(Attended::Exception(entry.exception(kind)));
+                return Some(Attended::Incident(entry.incident(kind)));
             }
             next = next.min(entry.attention_at());
         }
@@ -361,5 +361,5 @@ impl<const N: usize> Lane<N> {
 
 pub(super) enum Attended {
     Command(Command),
-    Exception(Exception),
+    Incident(Incident),
 }

@@ -18,5 +18,5 @@ mod lane;
 mod queue;
 
 pub use etch::{Etch, EtchCounters, Full, PriorityMap, Step};
-pub use lane::{Departure, Exception, ExceptionKind, Outgoing, RESERVED, Tag};
+pub use lane::{Departure, Incident, IncidentKind, Outgoing, RESERVED, Tag};
 pub use queue::Queue;
