@@ -27,8 +27,11 @@ pub mod bxcan_tx;
 #[cfg(target_arch = "arm")]
 pub mod clock;
 mod registers;
+mod runtime;
 #[cfg(target_arch = "arm")]
 pub mod stm32f4;
 
+#[cfg(target_arch = "arm")]
+pub use stm32f4::Stm32F405;
 #[cfg(target_arch = "arm")]
 pub use stm32f4xx_hal::pac;

@@ -10,6 +10,10 @@
 
 use cosmic_core::can::BitRate;
 use cosmic_core::can::filter_banks::FilterBank;
+use cosmic_core::plan::NodePlan;
+use cosmic_core::time::Instant;
+use cosmic_rtic::CALENDAR_PRIORITY;
+use cosmic_rtic::board::{Board, BoardParts};
 use rtic_monotonics::stm32::Priority;
 use stm32f4xx_hal::gpio::{GpioExt as _, Output, Pin};
 use stm32f4xx_hal::pac;
@@ -21,10 +25,11 @@ use crate::bxcan::{Controller, Parts};
 use crate::bxcan_rx::{OtherFrames, UrgentFrames};
 use crate::bxcan_status::{BusStatus, StatusChanges};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
-use crate::clock::Mono;
+use crate::clock::{self, Mono};
 
-/// The parts of a board, each for one owner.
-pub struct Board {
+/// A board that takes part in the traffic, and its parts, each for one owner. As a [`Board`] it is run by
+/// `cosmic-rtic`.
+pub struct Stm32F405 {
     /// Transmit mailbox of the time-triggered half.
     pub hard: HardMailbox,
     /// Transmit mailbox of the EDF queue.
@@ -41,8 +46,8 @@ pub struct Board {
     pub changes: StatusChanges,
     /// The error state of the controller.
     pub bus: BusStatus,
-    /// Pins for an oscilloscope.
-    pub points: MeasuringPoints,
+    /// Pins for an oscilloscope, for whoever takes them.
+    pub points: Option<MeasuringPoints>,
 }
 
 /// What a board is brought up with.
@@ -63,7 +68,18 @@ pub enum BoardError {
     Filters,
 }
 
-impl Board {
+impl Stm32F405 {
+    /// Brings a board up for a node, whose plan says bit rate and filters, with the timer's interrupt at the
+    /// priority of the runtime's calendar task; see [`new`](Self::new).
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn start(device: pac::Peripherals, node: &NodePlan) -> Result<Self, BoardError> {
+        let bit_rate = node.calendar.segment().bit_rate;
+        let settings = Settings { bit_rate, filters: node.filters.iter() };
+        Self::new(device, settings, Priority::new(CALENDAR_PRIORITY))
+    }
+
     /// Sets the clocks, starts the timer, and joins the bus.
     ///
     /// Waits until the crystal runs and the bus has been recessive for 11 bits; call it before interrupts
@@ -105,7 +121,33 @@ impl Board {
         can.set_up(timing, settings.filters).map_err(|_| BoardError::Filters)?;
         can.join();
         let Parts { hard, soft, non_real_time, outcomes, urgent, other, changes, bus } = can.split();
-        Ok(Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, points })
+        Ok(Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, points: Some(points) })
+    }
+}
+
+impl Board for Stm32F405 {
+    type Hard = HardMailbox;
+    type Soft = SoftMailbox;
+    type NonRealTime = NonRealTimeMailbox;
+    type Outcomes = TxOutcomes;
+    type Urgent = UrgentFrames;
+    type Other = OtherFrames;
+    type Status = BusStatus;
+    type Changes = StatusChanges;
+
+    #[inline]
+    fn now() -> Instant {
+        clock::now()
+    }
+
+    #[inline]
+    async fn delay_until(instant: Instant) {
+        clock::delay_until(instant).await;
+    }
+
+    fn split(self) -> BoardParts<Self> {
+        let Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, points: _ } = self;
+        BoardParts { hard, soft, non_real_time, outcomes, urgent, other, status: bus, changes }
     }
 }
 

@@ -1,0 +1,56 @@
+//! The parts of a bxCAN controller as the runtime wants them: [`cosmic_rtic::board`].
+
+use cosmic_core::can::{ErrorCounters, Frame, Mailbox, Outcome};
+use cosmic_rtic::board;
+
+use crate::bxcan_rx::{FIFO_DEPTH, Fifo, RxFrames};
+use crate::bxcan_status::{BusStatus, StatusChanges};
+use crate::bxcan_tx::{Class, TxMailbox, TxOutcomes};
+
+impl<C: Class> board::TxMailbox for TxMailbox<C> {
+    #[inline]
+    fn load(&mut self, frame: &Frame) {
+        self.load(frame);
+    }
+
+    #[inline]
+    fn withdraw(&mut self) {
+        self.withdraw();
+    }
+}
+
+impl board::TxOutcomes for TxOutcomes {
+    #[inline]
+    fn take(&mut self) -> Option<(Mailbox, Outcome)> {
+        self.take()
+    }
+}
+
+impl<F: Fifo> board::RxFifo for RxFrames<F> {
+    const DEPTH: usize = FIFO_DEPTH;
+
+    #[inline]
+    fn read(&mut self) -> Option<Frame> {
+        self.read()
+    }
+
+    #[inline]
+    fn take_losses(&mut self) -> u32 {
+        // Foreign frames are none of ours, and not lost.
+        self.take_losses().overruns
+    }
+}
+
+impl board::BusStatus for BusStatus {
+    #[inline]
+    fn errors(&self) -> ErrorCounters {
+        self.errors()
+    }
+}
+
+impl board::BusChanges for StatusChanges {
+    #[inline]
+    fn take_bus_off(&mut self) -> bool {
+        self.take().is_some_and(|change| change.went_off)
+    }
+}

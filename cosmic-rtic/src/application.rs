@@ -1,0 +1,183 @@
+//! What an application calls. Each call locks the node for its own time only.
+
+use core::future::poll_fn;
+use core::marker::PhantomData;
+use core::task::{Poll, Waker};
+
+use cosmic_core::calendar::Slot;
+use cosmic_core::event_layer::{
+    AnnounceError, Channel, Content, Delivered, Event, Exception, Filter, Policy, Publication, PublishError,
+    SubscribeError, Subscription,
+};
+use cosmic_core::time::{Duration, Instant};
+use rtic_core::Mutex;
+
+use crate::board::Board;
+use crate::node::Node;
+use crate::observer::Observes;
+use crate::system::System;
+
+/// The right to publish on a channel.
+#[derive(Debug)]
+pub struct Publisher<C> {
+    channel: Channel<C>,
+    publication: Publication<C>,
+}
+
+/// A subscription to a channel.
+#[derive(Debug)]
+pub struct Subscriber<C> {
+    channel: Channel<C>,
+    subscription: Subscription<C>,
+}
+
+impl<C: Content> Publisher<C> {
+    /// Announces the channel. From then on a slot of a periodic hard real-time channel without an event is an
+    /// error, so announce such a channel shortly before its first event.
+    ///
+    /// # Errors
+    /// [`AnnounceError`]: a channel that is not in the plan of this node, mostly.
+    pub fn announce<T: System>(
+        channel: &Channel<C>,
+        node: &mut impl Mutex<T = Node<T>>,
+    ) -> Result<Self, AnnounceError> {
+        let publication = node.lock(|node| node.announce(channel))?;
+        Ok(Self { channel: *channel, publication })
+    }
+
+    /// Publishes an event of now.
+    ///
+    /// # Errors
+    /// [`PublishError`]: the event is not sent.
+    #[inline]
+    pub fn publish<T>(&self, content: C, node: &mut impl Mutex<T = Node<T>>) -> Result<(), PublishError>
+    where
+        T: System<Observer: Observes<C>>,
+    {
+        self.publish_event(&Event::new(content), node)
+    }
+
+    /// Publishes an event with times or context of its own.
+    ///
+    /// # Errors
+    /// [`PublishError`]: the event is not sent.
+    #[inline]
+    pub fn publish_event<T>(
+        &self,
+        event: &Event<C>,
+        node: &mut impl Mutex<T = Node<T>>,
+    ) -> Result<(), PublishError>
+    where
+        T: System<Observer: Observes<C>>,
+    {
+        node.lock(|node| node.publish(&self.channel, &self.publication, event))
+    }
+
+    /// Gives up the announcement. Events that wait to be sent are discarded if it was the last one of the channel.
+    pub fn cancel<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
+        node.lock(|node| node.cancel_publication(self.publication));
+    }
+}
+
+impl<C: Content> Subscriber<C> {
+    /// Subscribes to all events of the channel.
+    ///
+    /// # Errors
+    /// [`SubscribeError`]: a channel that is not in the plan, or no room.
+    pub fn subscribe<T: System>(
+        channel: &Channel<C>,
+        policy: Policy,
+        node: &mut impl Mutex<T = Node<T>>,
+    ) -> Result<Self, SubscribeError> {
+        Self::subscribe_filtered(channel, Filter::ALL, policy, node)
+    }
+
+    /// Subscribes to those events that pass the filter.
+    ///
+    /// # Errors
+    /// As [`subscribe`](Self::subscribe).
+    pub fn subscribe_filtered<T: System>(
+        channel: &Channel<C>,
+        filter: Filter,
+        policy: Policy,
+        node: &mut impl Mutex<T = Node<T>>,
+    ) -> Result<Self, SubscribeError> {
+        let subscription = node.lock(|node| node.subscribe(channel, filter, policy))?;
+        Ok(Self { channel: *channel, subscription })
+    }
+
+    /// Waits for the next event.
+    pub async fn next<T>(&self, node: &mut impl Mutex<T = Node<T>>) -> Delivered<C>
+    where
+        T: System<Observer: Observes<C>>,
+    {
+        let Self { channel, subscription } = self;
+        poll_fn(|context| node.lock(|node| node.poll_next(channel, subscription, context.waker()))).await
+    }
+
+    /// The next event, if there is one.
+    pub fn try_next<T>(&self, node: &mut impl Mutex<T = Node<T>>) -> Option<Delivered<C>>
+    where
+        T: System<Observer: Observes<C>>,
+    {
+        let Self { channel, subscription } = self;
+        let next = node.lock(|node| node.poll_next(channel, subscription, Waker::noop()));
+        if let Poll::Ready(event) = next { Some(event) } else { None }
+    }
+
+    /// Gives up the subscription, with the events that wait for it.
+    pub fn cancel<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
+        node.lock(|node| node.cancel_subscription(self.subscription));
+    }
+}
+
+/// Waits for the next exception.
+pub async fn next_exception<T: System>(node: &mut impl Mutex<T = Node<T>>) -> Exception {
+    poll_fn(|context| node.lock(|node| node.poll_exception(context.waker()))).await
+}
+
+/// Waits until this node knows the time of the cluster, without which it takes no part in hard real-time.
+pub async fn synchronised<T: System>(node: &mut impl Mutex<T = Node<T>>) {
+    let is_synchronised = |node: &mut Node<T>| node.clock().is_synchronised(T::Board::now());
+    let period = node.lock(|node| node.sync_period());
+    while !node.lock(is_synchronised) {
+        T::Board::delay_until(T::Board::now() + period).await;
+    }
+}
+
+/// Waits until this node knows the time of the cluster, and all nodes that were switched on with it do: they may
+/// have missed the first frames of the time master. What is published before may be lost.
+pub async fn settled<T: System>(node: &mut impl Mutex<T = Node<T>>) {
+    synchronised(node).await;
+    let period = node.lock(|node| node.sync_period());
+    T::Board::delay_until(T::Board::now() + period * FRAMES_TO_SETTLE).await;
+}
+
+/// Waits until `lead` before the next slot: the time to publish what the slot is to carry.
+pub async fn before_slot<T: System>(slot: &Slot, lead: Duration, node: &mut impl Mutex<T = Node<T>>) {
+    let instant = node.lock(|node| node.before_slot(slot, lead, T::Board::now()));
+    T::Board::delay_until(instant).await;
+}
+
+/// Instants at a constant distance, on the clock of a board.
+pub struct Ticker<B> {
+    next: Instant,
+    period: Duration,
+    _board: PhantomData<B>,
+}
+
+impl<B: Board> Ticker<B> {
+    /// From now on.
+    pub fn every(period: Duration) -> Self {
+        Self { next: B::now(), period, _board: PhantomData }
+    }
+
+    /// Waits for the next instant.
+    pub async fn tick(&mut self) {
+        self.next = self.next + self.period;
+        B::delay_until(self.next).await;
+    }
+}
+
+/// Sync frames, and the node that missed the first has taken the second and third.
+const FRAMES_TO_SETTLE: u32 = 3;

@@ -1,0 +1,97 @@
+//! What a board must give: time, three transmit mailboxes, two receive FIFOs, the error state of its CAN
+//! controller. Values only, no protocol.
+//!
+//! A board is brought up by its own crate, with the bit rate and the acceptance filters that the node's
+//! [plan](cosmic_core::plan::NodePlan) names. From then on the runtime owns it, part by part: each part belongs to
+//! one task or interrupt, so that none needs a lock.
+
+use cosmic_core::can::{ErrorCounters, Frame, Mailbox, Outcome};
+use cosmic_core::time::Instant;
+
+/// A board with one CAN controller.
+pub trait Board: Sized + 'static {
+    /// The transmit mailbox of the calendar.
+    type Hard: TxMailbox;
+    /// The transmit mailbox of the EDF queue.
+    type Soft: TxMailbox;
+    /// The transmit mailbox of the non real-time queue.
+    type NonRealTime: TxMailbox;
+    /// Tells what became of loaded frames.
+    type Outcomes: TxOutcomes;
+    /// The receive FIFO that [`Fifo::Urgent`](cosmic_core::can::filter_banks::Fifo::Urgent) filters fill.
+    type Urgent: RxFifo;
+    /// The receive FIFO that [`Fifo::Other`](cosmic_core::can::filter_banks::Fifo::Other) filters fill.
+    type Other: RxFifo;
+    /// Reads the error counters.
+    type Status: BusStatus;
+    /// Tells that the error state has become worse.
+    type Changes: BusChanges;
+
+    /// Local time: free-running, never stepped. Called from every priority up to that of the calendar task.
+    fn now() -> Instant;
+
+    /// Waits until local time has reached `instant`; returns at once if it has.
+    fn delay_until(instant: Instant) -> impl Future<Output = ()>;
+
+    /// Takes the board apart.
+    fn split(self) -> BoardParts<Self>;
+}
+
+/// The parts of a board, each for one owner.
+pub struct BoardParts<B: Board> {
+    /// For the calendar task.
+    pub hard: B::Hard,
+    /// For the event task.
+    pub soft: B::Soft,
+    /// For the event task.
+    pub non_real_time: B::NonRealTime,
+    /// For the transmit interrupt.
+    pub outcomes: B::Outcomes,
+    /// For the interrupt of the urgent FIFO.
+    pub urgent: B::Urgent,
+    /// For the interrupt of the other FIFO.
+    pub other: B::Other,
+    /// For the event task.
+    pub status: B::Status,
+    /// For the status change interrupt.
+    pub changes: B::Changes,
+}
+
+/// One transmit mailbox. No method waits.
+pub trait TxMailbox {
+    /// Puts a frame into the mailbox, which is empty, and requests its transmission.
+    fn load(&mut self, frame: &Frame);
+
+    /// Requests that the frame be withdrawn; an empty mailbox ignores it. The outcome tells what became of it.
+    fn withdraw(&mut self);
+}
+
+/// What became of loaded frames.
+pub trait TxOutcomes {
+    /// The outcome of one mailbox whose frame is done, which is thereby acknowledged; `None` if there is none.
+    fn take(&mut self) -> Option<(Mailbox, Outcome)>;
+}
+
+/// A receive FIFO.
+pub trait RxFifo {
+    /// Frames that it holds at most. An interrupt reads as many, and comes again if there are more.
+    const DEPTH: usize;
+
+    /// The next frame, if there is one.
+    fn read(&mut self) -> Option<Frame>;
+
+    /// How many frames were lost since the last call because the FIFO was full.
+    fn take_losses(&mut self) -> u32;
+}
+
+/// The error state of the controller.
+pub trait BusStatus {
+    /// The error counters as they are now.
+    fn errors(&self) -> ErrorCounters;
+}
+
+/// Changes of the error state.
+pub trait BusChanges {
+    /// Acknowledges what has changed, and returns whether the controller has left the bus since the last call.
+    fn take_bus_off(&mut self) -> bool;
+}

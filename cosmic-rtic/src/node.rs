@@ -1,0 +1,211 @@
+//! The event-triggered half of a node together with what it drives.
+
+use core::task::{Poll, Waker};
+
+use cosmic_core::Half as _;
+use cosmic_core::Subject;
+use cosmic_core::calendar::Slot;
+use cosmic_core::can::{Command, ErrorCounters, Mailbox};
+use cosmic_core::event_half::{Due, Input, Step};
+use cosmic_core::event_layer::{
+    AnnounceError, Channel, ChannelCounters, Content, Delivered, Event, Exception, ExceptionKind, Filter,
+    Policy, Publication, PublishError, SubscribeError, Subscription,
+};
+use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
+use rtic_sync::signal::SignalWriter;
+
+use crate::board::{Board, BusStatus as _, TxMailbox as _};
+use crate::inbox::Item;
+use crate::observer::{Observer as _, Observes};
+use crate::system::{self, Half, System};
+
+/// The event-triggered half of a node and what it drives: a shared resource of the event task and the
+/// application. An application rather uses [`Publisher`](crate::Publisher) and [`Subscriber`](crate::Subscriber),
+/// which lock it.
+pub struct Node<T: System> {
+    pub(crate) half: Half<T>,
+    pub(crate) soft: <T::Board as Board>::Soft,
+    pub(crate) non_real_time: <T::Board as Board>::NonRealTime,
+    pub(crate) status: <T::Board as Board>::Status,
+    pub(crate) errors: ErrorCounters,
+    /// Wakes the event task.
+    pub(crate) wake: SignalWriter<'static, ()>,
+    pub(crate) wake_calendar: SignalWriter<'static, ()>,
+    pub(crate) sync_period: Duration,
+    pub(crate) observer: T::Observer,
+}
+
+impl<T: System> Node<T> {
+    /// The services that the node takes part in.
+    pub fn services(&self) -> &T::Services {
+        self.half.services()
+    }
+
+    /// Asks something of the services.
+    pub fn ask_services<R>(&mut self, ask: impl FnOnce(&mut T::Services) -> R) -> R {
+        self.wake.write(());
+        ask(self.half.services_mut())
+    }
+
+    /// The observer.
+    pub fn observer(&mut self) -> &mut T::Observer {
+        &mut self.observer
+    }
+
+    /// The clock as it is now.
+    pub fn clock(&self) -> GlobalClock {
+        system::clock::<T>(&self.half)
+    }
+
+    /// How often the time master sends its time; zero in a cluster without clock synchronisation.
+    pub const fn sync_period(&self) -> Duration {
+        self.sync_period
+    }
+
+    /// The next instant that is `lead` before a slot of the calendar is ready, in local time.
+    pub fn before_slot(&self, slot: &Slot, lead: Duration, now: Instant) -> Instant {
+        let clock = self.clock();
+        let period = slot.period.as_ticks().max(1);
+        let from = clock.to_global(now + lead).since_epoch().as_ticks();
+        let since_phase = from.saturating_sub(slot.phase.as_ticks());
+        let ready = slot.phase.as_ticks() + (since_phase / period + 1) * period;
+        let ready = GlobalInstant::from_epoch(Duration::from_ticks(ready));
+        clock.to_local(ready).saturating_sub(lead)
+    }
+
+    /// Publishes an event of now, and tells the observer.
+    ///
+    /// # Errors
+    /// The event is not sent.
+    #[inline]
+    pub fn publish<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        publication: &Publication<C>,
+        event: &Event<C>,
+    ) -> Result<(), PublishError>
+    where
+        T::Observer: Observes<C>,
+    {
+        let now = T::Board::now();
+        let result = self.half.publish(now, publication, event).map(|due| self.carry_out(due));
+        // There may be more to do than could be done at once, or something to be done later.
+        self.wake.write(());
+        self.observer.published(channel, &event.content, now, result);
+        result
+    }
+
+    /// What happened on a channel at this node.
+    pub fn channel_counters(&self, subject: Subject) -> Option<ChannelCounters> {
+        self.half.channel_counters(subject)
+    }
+
+    /// How many exceptions of a kind there were. Wraps.
+    pub fn exceptions(&self, kind: ExceptionKind) -> u32 {
+        self.half.exceptions(kind)
+    }
+
+    pub(crate) fn announce<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+    ) -> Result<Publication<C>, AnnounceError> {
+        let publication = self.half.announce(channel)?;
+        self.wake_both();
+        Ok(publication)
+    }
+
+    pub(crate) fn subscribe<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        filter: Filter,
+        policy: Policy,
+    ) -> Result<Subscription<C>, SubscribeError> {
+        let subscription = self.half.subscribe(channel, filter, policy)?;
+        self.wake_both();
+        Ok(subscription)
+    }
+
+    pub(crate) fn cancel_publication<C>(&mut self, publication: Publication<C>) {
+        for due in self.half.cancel_publication(publication) {
+            self.carry_out(due);
+        }
+        self.wake_both();
+    }
+
+    pub(crate) fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) {
+        self.half.cancel_subscription(subscription);
+        self.wake_both();
+    }
+
+    pub(crate) fn poll_next<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        subscription: &Subscription<C>,
+        waker: &Waker,
+    ) -> Poll<Delivered<C>>
+    where
+        T::Observer: Observes<C>,
+    {
+        let delivered = self.half.poll_next(subscription, waker);
+        if let Poll::Ready(event) = &delivered {
+            self.observer.delivered(channel, event, T::Board::now());
+        }
+        delivered
+    }
+
+    pub(crate) fn poll_exception(&mut self, waker: &Waker) -> Poll<Exception> {
+        let exception = self.half.poll_exception(waker);
+        if let Poll::Ready(exception) = &exception {
+            self.observer.exception(exception);
+        }
+        exception
+    }
+
+    /// Takes in what an interrupt or the calendar task has handed over.
+    #[inline]
+    pub(crate) fn take_in(&mut self, item: &Item) {
+        self.half.on_input(&item.input, item.at);
+    }
+
+    /// Does what is due, and says when something will be, if nothing else happens.
+    ///
+    /// Ends: each turn fills or empties one of two mailboxes, and an emptied one is filled only after its
+    /// outcome was taken in.
+    pub(crate) fn attend(&mut self, now: Instant) -> Instant {
+        let errors = self.status.errors();
+        if core::mem::replace(&mut self.errors, errors) != errors {
+            self.half.on_input(&Input::Errors(errors), now);
+        }
+        loop {
+            match self.half.poll(now) {
+                Step::Command(command) => self.execute(command),
+                Step::SleepUntil(instant) => return instant,
+            }
+        }
+    }
+
+    /// The calendar task has other slots, and the services more to say.
+    fn wake_both(&mut self) {
+        self.wake_calendar.write(());
+        self.wake.write(());
+    }
+
+    #[inline]
+    fn carry_out(&mut self, due: Due) {
+        if let Some(command) = due.command() {
+            self.execute(command);
+        }
+    }
+
+    #[inline]
+    fn execute(&mut self, command: Command) {
+        match command {
+            Command::Load(Mailbox::Soft, frame) => self.soft.load(&frame),
+            Command::Load(Mailbox::NonRealTime, frame) => self.non_real_time.load(&frame),
+            Command::Withdraw(Mailbox::Soft) => self.soft.withdraw(),
+            Command::Withdraw(Mailbox::NonRealTime) => self.non_real_time.withdraw(),
+            // This half has no hard real-time frames; the calendar task owns that mailbox.
+            Command::Load(Mailbox::Hard, _) | Command::Withdraw(Mailbox::Hard) => {}
+        }
+    }
+}

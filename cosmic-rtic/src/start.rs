@@ -1,0 +1,121 @@
+//! Brings a node up: board and middleware become the parts for each task.
+
+use cosmic_core::Capacity;
+use cosmic_core::can::ErrorCounters;
+use cosmic_core::plan::NodePlan;
+use cosmic_core::time::Duration;
+
+use crate::board::{Board, BoardParts};
+use crate::hard::{Hard, HardCell};
+use crate::inbox::Queues;
+use crate::node::Node;
+use crate::observer::Observer;
+use crate::system::{Buffers, StartError, System, Timed as _};
+use crate::tasks::{Calendar, Events, Other, Outcomes, Receiver, Status, Urgent};
+
+/// What the tasks of a node share besides the node itself: the queues between them, and the HRT message buffers.
+/// One for each app, in the `local` resources of its `init`.
+pub struct Storage<T: System> {
+    queues: Queues,
+    hard: HardCell<Buffers<T>>,
+}
+
+impl<T: System> Storage<T> {
+    /// Nothing has happened yet.
+    pub const fn new() -> Self {
+        Self { queues: Queues::new(), hard: HardCell::new(<T::Capacity as Capacity>::BUFFERS) }
+    }
+}
+
+impl<T: System> Default for Storage<T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A node, taken apart for its tasks.
+pub struct Parts<T: System> {
+    /// For the calendar task.
+    pub calendar: Calendar<T>,
+    /// For the interrupt of the urgent FIFO.
+    pub urgent: Urgent<T>,
+    /// For the transmit interrupt.
+    pub outcomes: Outcomes<T>,
+    /// For the status change interrupt.
+    pub status: Status<T>,
+    /// For the interrupt of the other FIFO.
+    pub other: Other<T>,
+    /// For the event task.
+    pub events: Events,
+    /// Shared by the event task and the application.
+    pub node: Node<T>,
+}
+
+/// Starts a node with the services that its plan describes, unobserved. For RTIC's `init`.
+///
+/// # Errors
+/// [`StartError`]: the plan lacks what the services need.
+pub fn start<T: System<Observer = ()>>(
+    board: T::Board,
+    plan: &NodePlan,
+    storage: &'static mut Storage<T>,
+) -> Result<Parts<T>, StartError> {
+    start_observed(board, plan, storage, (), ())
+}
+
+/// As [`start`], with somebody who watches.
+///
+/// # Errors
+/// As [`start`].
+pub fn start_observed<T: System>(
+    board: T::Board,
+    plan: &NodePlan,
+    storage: &'static mut Storage<T>,
+    observer: T::Observer,
+    calendar_observer: <T::Observer as Observer>::Calendar,
+) -> Result<Parts<T>, StartError> {
+    let services = T::Services::planned(plan, T::Board::now())?;
+    Ok(start_with(board, plan, storage, services, observer, calendar_observer))
+}
+
+/// As [`start_observed`], with services that were put together elsewhere.
+pub fn start_with<T: System>(
+    board: T::Board,
+    plan: &NodePlan,
+    storage: &'static mut Storage<T>,
+    services: T::Services,
+    observer: T::Observer,
+    calendar_observer: <T::Observer as Observer>::Calendar,
+) -> Parts<T> {
+    let Storage { queues, hard } = storage;
+    let hard: &'static HardCell<Buffers<T>> = hard;
+    let ends = queues.split();
+    let BoardParts { hard: mailbox, soft, non_real_time, outcomes, urgent, other, status, changes } =
+        board.split();
+    Parts {
+        calendar: Calendar {
+            dispatcher: T::Capacity::dispatcher(plan.calendar),
+            hard: Hard::new(hard),
+            mailbox,
+            notices: ends.notices,
+            wakes: ends.calendar_wakes,
+            observer: calendar_observer,
+        },
+        urgent: Urgent { receiver: Receiver { fifo: urgent, hard: Hard::new(hard), frames: ends.urgent } },
+        outcomes: Outcomes { outcomes, hard: Hard::new(hard), left: ends.outcomes },
+        status: Status { changes, bus_off: ends.bus_off },
+        other: Other { receiver: Receiver { fifo: other, hard: Hard::new(hard), frames: ends.frames } },
+        events: Events { inbox: ends.inbox },
+        node: Node {
+            half: T::Capacity::half(Some(plan.tx_node), plan.calendar, services, Hard::new(hard)),
+            soft,
+            non_real_time,
+            status,
+            errors: ErrorCounters::NONE,
+            wake: ends.wake,
+            wake_calendar: ends.wake_calendar,
+            sync_period: plan.sync.map_or(Duration::from_ticks(0), |sync| sync.period),
+            observer,
+        },
+    }
+}

@@ -1,0 +1,94 @@
+//! What a node is made of, as one type.
+
+use cosmic_core::plan::NodePlan;
+use cosmic_core::services::{ClockService, Services};
+use cosmic_core::time::sync::SyncConfigError;
+use cosmic_core::time::{GlobalClock, Instant};
+use cosmic_core::{Capacity, Half as _};
+
+use crate::board::Board;
+use crate::hard::Hard;
+use crate::observer::Observer;
+
+/// What a node is made of: everything in this crate is generic over it.
+///
+/// ```ignore
+/// cosmic_core::capacity! {
+///     Room { slots: 4, channels: 8, subscriptions: 8, events: 32, soft: 8, non_real_time: 8 }
+/// }
+///
+/// struct Robot;
+///
+/// impl cosmic_rtic::System for Robot {
+///     type Board = boards::Stm32F405;
+///     type Capacity = Room;
+///     type Services = cosmic_core::services::ClockService;
+///     type Observer = ();
+/// }
+///
+/// type Node = cosmic_rtic::Node<Robot>;
+/// ```
+pub trait System: 'static {
+    /// The board.
+    type Board: Board;
+    /// How much the node has room for.
+    type Capacity: Capacity;
+    /// The services that it takes part in.
+    type Services: Timed;
+    /// Who is told of what happens: `()` is nobody, and costs nothing.
+    type Observer: Observer;
+}
+
+/// Services that know the time of the cluster.
+pub trait Timed: Services + Sized {
+    /// The services as the plan of the node has them.
+    ///
+    /// # Errors
+    /// The plan lacks what they need.
+    fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError>;
+
+    /// The clock of the cluster as of the last call.
+    fn clock(&self) -> GlobalClock;
+}
+
+impl Timed for ClockService {
+    fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
+        let config = node.sync.ok_or(StartError::NoSync)?;
+        Self::new(config, node.calendar, Some(node.tx_node), now).map_err(StartError::Sync)
+    }
+
+    fn clock(&self) -> GlobalClock {
+        self.clock()
+    }
+}
+
+/// A cluster without hard real-time, or of one node: local time is global time.
+impl Timed for () {
+    fn planned(_: &NodePlan, _: Instant) -> Result<Self, StartError> {
+        Ok(())
+    }
+
+    fn clock(&self) -> GlobalClock {
+        GlobalClock::free_running()
+    }
+}
+
+/// Why a node cannot be started.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum StartError {
+    /// The services need clock synchronisation, and the plan says that the cluster has none.
+    NoSync,
+    /// The settings of clock synchronisation are refused.
+    Sync(SyncConfigError),
+}
+
+pub(crate) type Buffers<T> = <<T as System>::Capacity as Capacity>::Buffers;
+pub(crate) type Dispatcher<T> = <<T as System>::Capacity as Capacity>::Dispatcher;
+pub(crate) type Access<T> = Hard<Buffers<T>>;
+/// The event-triggered half of a node.
+pub(crate) type Half<T> = <<T as System>::Capacity as Capacity>::Half<<T as System>::Services, Access<T>>;
+
+pub(crate) fn clock<T: System>(half: &Half<T>) -> GlobalClock {
+    half.services().clock()
+}
