@@ -10,7 +10,6 @@
 use cosmic_core::Subject;
 use cosmic_core::can::Etag;
 use cosmic_core::event_layer::Channel;
-use cosmic_core::time::Duration;
 
 use plan::channels;
 
@@ -110,7 +109,3 @@ pub const LOGBOOK: Channel<LogEntry> = channels::logbook::channel();
 pub fn etag_of(subject: Subject) -> Option<Etag> {
     plan::CHANNELS.iter().find(|channel| channel.subject == subject)?.etag
 }
-
-/// From the instant at which one node relies on its clock until all do: the first frames of a master may
-/// have been missed.
-pub const SETTLING: Duration = Duration::from_ticks(3 * plan::SYNC.period.as_ticks());

@@ -7,17 +7,12 @@ use panic_probe as _;
 
 #[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2, SPI3])]
 mod app {
-    use boards::clock;
-    use cosmic_core::event_layer::{Depth, Policy};
-    use cosmic_core::time::Duration;
-    use firmware::application::{self, Publisher, Reporter, Subscriber};
+    use boards::Stm32F405;
+    use cosmic_rtic::prelude::*;
     use firmware::cluster::plan::{channels, nodes};
     use firmware::cluster::{self, LogEntry, Suspension};
-    use firmware::inbox::{Inbox, Storage};
-    use firmware::node::Node;
     use firmware::signals;
-    use firmware::start::{Parts, start};
-    use firmware::tasks::{self, CalendarParts, OtherParts, OutcomeParts, UrgentParts};
+    use firmware::vehicle::{Vehicle, start};
 
     const SUSPENSION_PERIOD: Duration = channels::suspension::PERIOD;
     /// Codes of the logbook.
@@ -30,28 +25,28 @@ mod app {
 
     #[shared]
     struct Shared {
-        node: Node,
-        reporter: Reporter,
+        node: Node<Vehicle>,
         /// What was observed last: a code of the logbook, and the value.
         seen: (u16, u16),
     }
 
     #[local]
     struct Local {
-        calendar: CalendarParts,
-        urgent: UrgentParts,
-        outcomes: OutcomeParts,
-        other: OtherParts,
-        inbox: Inbox,
+        calendar: Calendar<Vehicle>,
+        urgent: Urgent<Vehicle>,
+        outcomes: Outcomes<Vehicle>,
+        status: Status<Vehicle>,
+        other: Other<Vehicle>,
+        events: Events,
     }
 
-    #[init(local = [storage: Storage = Storage::new()])]
+    #[init(local = [storage: Storage<Vehicle> = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
         let parts = start(context.device, nodes::diagnostics::NODE, context.local.storage);
-        let Parts { calendar, urgent, outcomes, other, inbox, node, reporter } = parts;
+        let Parts { calendar, urgent, outcomes, status, other, events, node } = parts;
         let spawned = [
             calendar::spawn(),
-            etch::spawn(),
+            events::spawn(),
             exceptions::spawn(),
             measure_suspension::spawn(),
             write_logbook::spawn(),
@@ -60,87 +55,93 @@ mod app {
         ];
         // Each task is spawned once, so there is room for it.
         defmt::assert!(spawned.iter().all(Result::is_ok));
-        (Shared { node, reporter, seen: (SPEED, 0) }, Local { calendar, urgent, outcomes, other, inbox })
+        (Shared { node, seen: (SPEED, 0) }, Local { calendar, urgent, outcomes, status, other, events })
     }
 
     #[task(local = [calendar], priority = 7)]
     async fn calendar(context: calendar::Context) {
-        tasks::calendar(context.local.calendar).await
+        context.local.calendar.run().await
     }
 
     #[task(binds = CAN1_RX0, local = [urgent], priority = 6)]
     fn can_rx_urgent(context: can_rx_urgent::Context) {
-        tasks::receive_urgent(context.local.urgent);
+        context.local.urgent.run();
     }
 
     #[task(binds = CAN1_TX, local = [outcomes], priority = 5)]
     fn can_tx(context: can_tx::Context) {
-        tasks::report_outcomes(context.local.outcomes);
+        context.local.outcomes.run();
+    }
+
+    #[task(binds = CAN1_SCE, local = [status], priority = 5)]
+    fn can_status(context: can_status::Context) {
+        context.local.status.run();
     }
 
     #[task(binds = CAN1_RX1, local = [other], priority = 4)]
     fn can_rx_other(context: can_rx_other::Context) {
-        tasks::receive_other(context.local.other);
+        context.local.other.run();
     }
 
-    #[task(local = [inbox], shared = [node], priority = 3)]
-    async fn etch(context: etch::Context) {
-        tasks::etch(context.local.inbox, context.shared.node).await
+    #[task(local = [events], shared = [node], priority = 3)]
+    async fn events(context: events::Context) {
+        context.local.events.run(context.shared.node).await
     }
 
-    #[task(shared = [node, reporter], priority = 1)]
-    async fn exceptions(context: exceptions::Context) {
-        application::report_exceptions(context.shared.node, context.shared.reporter).await
+    #[task(shared = [node], priority = 1)]
+    async fn exceptions(mut context: exceptions::Context) {
+        loop {
+            // The observer reports it.
+            next_exception(&mut context.shared.node).await;
+        }
     }
 
-    #[task(shared = [node, reporter], priority = 1)]
+    #[task(shared = [node], priority = 1)]
     async fn measure_suspension(mut context: measure_suspension::Context) {
-        let measure_suspension::SharedResources { node, reporter, .. } = &mut context.shared;
-        let suspension = Publisher::announce(&cluster::SUSPENSION, node);
-        let mut next = clock::now();
+        let node = &mut context.shared.node;
+        let suspension = defmt::unwrap!(Publisher::announce(&cluster::SUSPENSION, node));
+        let mut ticker = Ticker::<Stm32F405>::every(SUSPENSION_PERIOD);
         let mut sequence = 0;
         loop {
-            next = next + SUSPENSION_PERIOD;
-            clock::delay_until(next).await;
+            ticker.tick().await;
             let (travel, velocity) = signals::suspension(sequence);
-            suspension.publish(Suspension { sequence, travel, velocity }, node, reporter);
+            let _ = suspension.publish(Suspension { sequence, travel, velocity }, node);
             sequence = sequence.wrapping_add(1);
         }
     }
 
     /// Logs what was observed last.
-    #[task(shared = [node, reporter, seen], priority = 1)]
+    #[task(shared = [node, seen], priority = 1)]
     async fn write_logbook(mut context: write_logbook::Context) {
-        let write_logbook::SharedResources { node, reporter, seen, .. } = &mut context.shared;
-        let logbook = Publisher::announce(&cluster::LOGBOOK, node);
-        let mut next = clock::now();
+        let write_logbook::SharedResources { node, seen, .. } = &mut context.shared;
+        let logbook = defmt::unwrap!(Publisher::announce(&cluster::LOGBOOK, node));
+        let mut ticker = Ticker::<Stm32F405>::every(LOGBOOK_PERIOD);
         let mut sequence = 0;
         loop {
-            next = next + LOGBOOK_PERIOD;
-            clock::delay_until(next).await;
+            ticker.tick().await;
             let (code, value) = seen.lock(|seen| *seen);
-            logbook.publish(LogEntry { sequence, code, value }, node, reporter);
+            let _ = logbook.publish(LogEntry { sequence, code, value }, node);
             sequence = sequence.wrapping_add(1);
         }
     }
 
-    #[task(shared = [node, reporter, seen], priority = 1)]
+    #[task(shared = [node, seen], priority = 1)]
     async fn watch_wheel(mut context: watch_wheel::Context) {
-        let watch_wheel::SharedResources { node, reporter, seen, .. } = &mut context.shared;
-        application::synchronised(node).await;
-        let wheel_speed = Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node);
+        let watch_wheel::SharedResources { node, seen, .. } = &mut context.shared;
+        synchronised(node).await;
+        let wheel_speed = defmt::unwrap!(Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node));
         loop {
-            let event = wheel_speed.next(node, reporter).await;
+            let event = wheel_speed.next(node).await;
             seen.lock(|seen| *seen = (SPEED, event.content.speed));
         }
     }
 
-    #[task(shared = [node, reporter, seen], priority = 1)]
+    #[task(shared = [node, seen], priority = 1)]
     async fn watch_brake(mut context: watch_brake::Context) {
-        let watch_brake::SharedResources { node, reporter, seen, .. } = &mut context.shared;
-        let brake_force = Subscriber::subscribe(&cluster::BRAKE_FORCE, QUEUE, node);
+        let watch_brake::SharedResources { node, seen, .. } = &mut context.shared;
+        let brake_force = defmt::unwrap!(Subscriber::subscribe(&cluster::BRAKE_FORCE, QUEUE, node));
         loop {
-            let event = brake_force.next(node, reporter).await;
+            let event = brake_force.next(node).await;
             seen.lock(|seen| *seen = (FORCE, event.content.force));
         }
     }

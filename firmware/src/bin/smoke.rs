@@ -13,7 +13,7 @@ mod app {
     use boards::bxcan_rx::{FIFO_DEPTH, OtherFrames, UrgentFrames};
     use boards::bxcan_tx::{SoftMailbox, TxOutcomes};
     use boards::clock;
-    use boards::stm32f4::{Board, MeasuringPoint, Settings};
+    use boards::stm32f4::{MeasuringPoint, Settings, Stm32F405};
     use cosmic_core::can::filter_banks::{Fifo, FilterBank};
     use cosmic_core::can::{BitRate, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
     use cosmic_core::time::Duration;
@@ -43,16 +43,17 @@ mod app {
     fn init(context: init::Context) -> (Shared, Local) {
         let _records = firmware::records::Records::start();
         let settings = Settings { bit_rate: BitRate::MAX, filters: FILTERS.iter() };
-        let Ok(board) = Board::new(context.device, settings, TimerPriority::new(5)) else {
+        let Ok(board) = Stm32F405::new(context.device, settings, TimerPriority::new(5)) else {
             defmt::panic!("the settings ask for what the board cannot do");
         };
+        let points = defmt::unwrap!(board.points);
         defmt::info!("smoke: up");
         let _ = blink::spawn();
         let _ = send::spawn();
         (
             Shared { soft_is_empty: true },
             Local {
-                point: board.points.calendar,
+                point: points.calendar,
                 soft: board.soft,
                 outcomes: board.outcomes,
                 urgent: board.urgent,
