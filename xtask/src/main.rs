@@ -10,6 +10,7 @@ mod demo;
 mod experiment;
 mod fuzz;
 mod images;
+mod new;
 mod plan;
 mod qemu;
 mod run;
@@ -53,6 +54,8 @@ enum Task {
     Size(size::Options),
     /// Everything that must hold before a change goes in.
     Ci,
+    /// Make a repository of your own: a cluster of two nodes that runs at once.
+    New(new::Options),
     /// Feed the decoders and whole nodes what no node would send; needs a C++ compiler.
     Fuzz(fuzz::Options),
 }
@@ -81,6 +84,7 @@ fn perform(task: Task, workspace: &Workspace) -> anyhow::Result<ExitCode> {
         Task::Bench(options) => return bench::task(workspace, &options),
         Task::Size(options) => size::task(workspace, &options)?,
         Task::Ci => return ci::task(workspace),
+        Task::New(options) => new::task(workspace, &options)?,
         Task::Fuzz(options) => return fuzz::task(workspace, &options),
     }
     Ok(ExitCode::SUCCESS)

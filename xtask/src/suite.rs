@@ -1,18 +1,21 @@
 //! Runs the tests and counts them.
 
-use std::process::ExitCode;
+use std::path::Path;
+use std::process::{self, ExitCode};
+use std::{env, fs};
 
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 
 use crate::demo;
 use crate::fuzz;
-use crate::images;
+use crate::images::{self, PROFILE};
+use crate::new;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
 use crate::tally::Tally;
-use crate::target::TargetWay;
+use crate::target::{TRIPLE, TargetWay};
 use crate::workspace::Workspace;
 
 /// Which tests to run.
@@ -79,7 +82,31 @@ pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> 
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast", "--release"]).args(demo::EMULATED_TESTS);
     command.env(IMAGES, directory);
-    step("testing the firmware in the emulated cluster", || cargo_test(&mut command))
+    let mut tally = step("testing the firmware in the emulated cluster", || cargo_test(&mut command))?;
+    tally.add(step("testing a new repository, made outside this one", || new_repository(workspace, way)));
+    Ok(tally)
+}
+
+/// Makes a repository as a user would, in a folder outside this one, builds it, and runs its own test. It shares
+/// the folder of build products, so that the crates that both use are built once.
+fn new_repository(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
+    let folder = env::temp_dir().join(format!("cosmic-robot-{}", process::id()));
+    let tally = new::make(workspace, &folder).and_then(|()| build_and_test(workspace, way, &folder));
+    // What a test leaves behind is no failure.
+    let _ = fs::remove_dir_all(&folder);
+    tally
+}
+
+fn build_and_test(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally> {
+    let mut build = way.cargo(workspace, "build");
+    build.current_dir(folder).args(["--package", "robot", "--profile", PROFILE]);
+    build.env("CARGO_TARGET_DIR", way.target_dir(workspace));
+    run::run(&mut build)?;
+    let mut test = workspace.cargo();
+    test.current_dir(folder).args(["test", "--no-fail-fast", "--release"]);
+    test.env("CARGO_TARGET_DIR", workspace.target_dir());
+    test.env(IMAGES, way.target_dir(workspace).join(TRIPLE).join(PROFILE));
+    cargo_test(&mut test)
 }
 
 /// Runs `cargo test` and counts its results.

@@ -1,0 +1,29 @@
+//! The robot as it would be flashed does what it is for: `cargo test`.
+
+use cosmic_emu::ObservationKind;
+use emulate::{cluster, images, plan, run};
+
+/// Long enough for the clocks to agree, and for two seconds of events.
+const MILLISECONDS: u64 = 3_200;
+
+#[test]
+fn the_nodes_hear_each_other() {
+    let mut cluster = cluster(&images().unwrap()).unwrap();
+    let mut lines = Vec::new();
+    for seen in run(&mut cluster, MILLISECONDS) {
+        let node = plan::NODES[seen.node.index()].name;
+        match seen.kind {
+            ObservationKind::Log(line) => lines.push((node, line.level, line.message)),
+            ObservationKind::Pin { .. } => {}
+            other => panic!("{node} at {}: {other}", seen.at),
+        }
+    }
+    let said = |node: &str, text: &str| {
+        lines.iter().any(|(of, level, message)| *of == node && *level == "INFO" && message.starts_with(text))
+    };
+    assert!(said("controller", "100 events of motor_heat"), "{lines:#?}");
+    assert!(said("arm", "200 set points"), "{lines:#?}");
+    // No event was missed, replaced or late once the clocks agreed.
+    let warnings: Vec<_> = lines.iter().filter(|(_, level, _)| matches!(*level, "WARN" | "ERROR")).collect();
+    assert!(warnings.is_empty(), "{warnings:#?}");
+}
