@@ -144,7 +144,7 @@ impl<'s> Simulation<'s> {
                         self.execute(station, command, now);
                     }
                     // The judge looks at the bus.
-                    Step::Exception(_) => {}
+                    Step::Incident(_) => {}
                     Step::SleepUntil(instant) => {
                         node.wakes_at = virtual_of(instant);
                         break;
