@@ -14,6 +14,7 @@ use cosmic_core::plan::NodePlan;
 use cosmic_core::time::Instant;
 use cosmic_rtic::CALENDAR_PRIORITY;
 use cosmic_rtic::board::{Board, BoardParts};
+use rtic_monotonics::Timebase as _;
 use rtic_monotonics::stm32::Priority;
 use stm32f4xx_hal::gpio::{GpioExt as _, Output, Pin};
 use stm32f4xx_hal::pac;
@@ -143,6 +144,12 @@ impl Board for Stm32F405 {
     #[inline]
     async fn delay_until(instant: Instant) {
         clock::delay_until(instant).await;
+    }
+
+    #[inline]
+    async fn until(instant: Instant, other: impl Future<Output = ()>) {
+        // Either will do.
+        let _ = Mono::timeout_at(clock::timer(instant), other).await;
     }
 
     fn split(self) -> BoardParts<Self> {

@@ -33,6 +33,12 @@ pub trait Board: Sized + 'static {
     /// Waits until local time has reached `instant`; returns at once if it has.
     fn delay_until(instant: Instant) -> impl Future<Output = ()>;
 
+    /// Waits until local time has reached `instant` or `other` has ended. A board whose timer can do both in one
+    /// spares the calendar task some instructions.
+    fn until(instant: Instant, other: impl Future<Output = ()>) -> impl Future<Output = ()> {
+        crate::tasks::either(other, Self::delay_until(instant))
+    }
+
     /// Takes the board apart.
     fn split(self) -> BoardParts<Self>;
 }

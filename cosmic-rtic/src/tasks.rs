@@ -70,7 +70,7 @@ impl<T: System> Calendar<T> {
             let next = self.attend();
             self.observer.running(false);
             // Either will do: the instant has come, or there is another slot.
-            until::<T::Board>(next, self.wakes.wait()).await;
+            T::Board::until(next, self.wakes.wait()).await;
         }
     }
 
@@ -162,7 +162,7 @@ impl Events {
             self.count(&mut node);
             let next = node.lock(|node| node.attend(T::Board::now()));
             // Either will do: the instant has come, or something has arrived.
-            until::<T::Board>(next, self.inbox.wait()).await;
+            T::Board::until(next, self.inbox.wait()).await;
         }
     }
 
@@ -179,12 +179,11 @@ impl Events {
     }
 }
 
-/// Waits until the instant has come or the other has ended.
-async fn until<B: Board>(instant: Instant, other: impl Future<Output = ()>) {
-    let mut other = pin!(other);
-    let mut delay = pin!(B::delay_until(instant));
+/// Waits until one of them has ended.
+pub(crate) async fn either(one: impl Future<Output = ()>, other: impl Future<Output = ()>) {
+    let (mut one, mut other) = (pin!(one), pin!(other));
     poll_fn(|context| {
-        if other.as_mut().poll(context).is_ready() || delay.as_mut().poll(context).is_ready() {
+        if one.as_mut().poll(context).is_ready() || other.as_mut().poll(context).is_ready() {
             Poll::Ready(())
         } else {
             Poll::Pending
