@@ -9,7 +9,7 @@ use cosmic_core::event_layer::{
     Importance, MessageSubscriber, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
     SubscribeError,
 };
-use cosmic_core::network::hard::{Dispatcher, HrtBuffers, Step as HardStep};
+use cosmic_core::network::hard::{CalendarStep, Dispatcher, HrtBuffers};
 use cosmic_core::network::soft::RESERVED;
 use cosmic_core::services::{ClockService, Services};
 use cosmic_core::sync::SyncConfig;
@@ -223,8 +223,8 @@ fn a_cancelled_hard_publication_leaves_its_slot_empty() {
     for now in 0..12 {
         loop {
             match dispatcher.poll(at(now * 1_000), half.hard_mut()) {
-                HardStep::SleepUntil(_) => break,
-                HardStep::Continue => {}
+                CalendarStep::SleepUntil(_) => break,
+                CalendarStep::Continue => {}
                 step => panic!("{step:?}"),
             }
         }
@@ -324,9 +324,9 @@ fn what_was_lost_below_is_told_and_counted() {
 fn run<S: Services>(half: &mut Half<S>, dispatcher: &mut Dispatcher<2>, now: Instant) {
     loop {
         match dispatcher.poll(now, half.hard_mut()) {
-            HardStep::Notify(buffer) => half.on_input(&Input::Notice(buffer), now),
-            HardStep::SleepUntil(_) => break,
-            HardStep::Command(_) | HardStep::Continue => {}
+            CalendarStep::Notify(buffer) => half.on_input(&Input::Notice(buffer), now),
+            CalendarStep::SleepUntil(_) => break,
+            CalendarStep::Command(_) | CalendarStep::Continue => {}
         }
     }
     while let Step::Command(_) = half.poll(now) {}
@@ -383,9 +383,9 @@ fn a_hard_event_that_is_not_fetched_in_time_is_overwritten() {
         }
         loop {
             match dispatcher.poll(at(now), half.hard_mut()) {
-                HardStep::SleepUntil(_) => break,
-                HardStep::Notify(buffer) => notice = Some(buffer),
-                HardStep::Continue => {}
+                CalendarStep::SleepUntil(_) => break,
+                CalendarStep::Notify(buffer) => notice = Some(buffer),
+                CalendarStep::Continue => {}
                 step => panic!("{step:?}"),
             }
         }

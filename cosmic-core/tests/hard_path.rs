@@ -3,7 +3,7 @@
 
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
-use cosmic_core::network::hard::{Attach, BufferId, Counters, Dispatcher, HrtBuffers, Role, Step};
+use cosmic_core::network::hard::{Attach, BufferId, CalendarStep, Counters, Dispatcher, HrtBuffers, Role};
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant, Rate, Uncertainty};
 
 const ME: TxNode = TxNode::new(1).unwrap();
@@ -112,18 +112,18 @@ impl Node {
         for burst in 0..100 {
             self.longest_burst = self.longest_burst.max(burst);
             match self.dispatcher.poll(at(self.now), &mut self.buffers) {
-                Step::Command(Command::Load(Mailbox::Hard, frame)) => {
+                CalendarStep::Command(Command::Load(Mailbox::Hard, frame)) => {
                     assert_eq!(self.on_wire.replace((self.now + 150, frame)), None);
                 }
-                Step::Command(Command::Withdraw(Mailbox::Hard)) => {
+                CalendarStep::Command(Command::Withdraw(Mailbox::Hard)) => {
                     self.withdrawn += 1;
                     self.on_wire = None;
                     let _ = self.buffers.on_outcome(Outcome::Withdrawn, at(self.now));
                 }
-                Step::Command(other) => panic!("{other:?}"),
-                Step::Notify(_) => self.notified += 1,
-                Step::Continue => {}
-                Step::SleepUntil(wake) => return wake.since_epoch().as_micros().max(self.now + 1),
+                CalendarStep::Command(other) => panic!("{other:?}"),
+                CalendarStep::Notify(_) => self.notified += 1,
+                CalendarStep::Continue => {}
+                CalendarStep::SleepUntil(wake) => return wake.since_epoch().as_micros().max(self.now + 1),
             }
         }
         panic!("the dispatcher does not come to rest");
@@ -250,7 +250,7 @@ fn a_frame_that_is_sent_in_spite_of_its_withdrawal_is_of_no_slot() {
     node.set(100_000_900);
     assert_eq!(
         node.dispatcher.poll(at(node.now), &mut node.buffers),
-        Step::Command(Command::Withdraw(Mailbox::Hard))
+        CalendarStep::Command(Command::Withdraw(Mailbox::Hard))
     );
     assert_eq!(node.buffers.on_outcome(Outcome::Sent, at(node.now + 10)), None);
     (node.on_wire, node.stuck) = (None, false);
@@ -304,7 +304,7 @@ fn a_frame_whose_buffer_is_given_up_is_withdrawn_and_counts_for_nobody_else() {
     node.attach(2, SUBSCRIBES);
     assert_eq!(
         node.dispatcher.poll(at(node.now), &mut node.buffers),
-        Step::Command(Command::Withdraw(Mailbox::Hard))
+        CalendarStep::Command(Command::Withdraw(Mailbox::Hard))
     );
     assert_eq!(node.buffers.on_outcome(Outcome::Sent, at(node.now)), None);
     assert_eq!(node.counters(2), Counters::NONE);

@@ -15,7 +15,7 @@ const ETAG: Etag = Etag::new(0x3FFE).unwrap();
 /// One message: what it says in words, its value, and the frame as `candump` and `cansend` write it.
 struct Example {
     says: &'static str,
-    message: Message,
+    message: ControlMessage,
     wire: &'static str,
 }
 
@@ -32,9 +32,10 @@ fn stage(stage: u8) -> Stage {
 }
 
 fn configuration_examples() -> Vec<Example> {
-    let request = |at| Message::ConfigurationRequest(ConfigurationRequest::new(UID, stage(at)));
-    let prefix =
-        |at| Message::ConfigurationReply(ConfigurationReply::Prefix(Prefix::new(UID.get(), at).unwrap()));
+    let request = |at| ControlMessage::ConfigurationRequest(ConfigurationRequest::new(UID, stage(at)));
+    let prefix = |at| {
+        ControlMessage::ConfigurationReply(ConfigurationReply::Prefix(Prefix::new(UID.get(), at).unwrap()))
+    };
     let assigned = ConfigurationReply::Assigned { uid: UID, tx_node: NODE };
     vec![
         Example {
@@ -74,36 +75,37 @@ fn configuration_examples() -> Vec<Example> {
         },
         Example {
             says: "Configuration reply, the end: UID 0123456789ABCDEF has TxNode 0x2A",
-            message: Message::ConfigurationReply(assigned),
+            message: ControlMessage::ConfigurationReply(assigned),
             wire: "1F4A8000#0123456789ABCDEF",
         },
         Example {
             says: "Configuration reply, restart: all begin again",
-            message: Message::ConfigurationReply(ConfigurationReply::Restart),
+            message: ControlMessage::ConfigurationReply(ConfigurationReply::Restart),
             wire: "1F5FC000#0000000000000000",
         },
         Example {
             says: "Configuration refusal: no TxNode left for UID 0123456789ABCDEF",
-            message: Message::ConfigurationRefusal(ConfigurationRefusal { uid: UID }),
+            message: ControlMessage::ConfigurationRefusal(ConfigurationRefusal { uid: UID }),
             wire: "1F5FC005#0123456789ABCDEF",
         },
         Example {
             says: "Release: node 0x2A gives its TxNode back",
-            message: Message::Release(Release { tx_node: NODE, uid: UID }),
+            message: ControlMessage::Release(Release { tx_node: NODE, uid: UID }),
             wire: "1F4A8006#0123456789ABCDEF",
         },
     ]
 }
 
 fn binding_examples() -> Vec<Example> {
-    let pair = |sender, answer| SupplyEtag::pair(sender, NODE, SUBJECT, answer).map(Message::SupplyEtag);
+    let pair =
+        |sender, answer| SupplyEtag::pair(sender, NODE, SUBJECT, answer).map(ControlMessage::SupplyEtag);
     let [bound_0, bound_1] = pair(TxNode::BROKER, Answer::Bound(ETAG));
     let [refused_0, refused_1] = pair(TxNode::BROKER, Answer::Refused);
     let [claim_0, claim_1] = pair(NODE, Answer::Bound(ETAG));
     vec![
         Example {
             says: "Get etag: node 0x2A asks for subject 1122334455667788",
-            message: Message::GetEtag(GetEtag { requester: NODE, subject: SUBJECT }),
+            message: ControlMessage::GetEtag(GetEtag { requester: NODE, subject: SUBJECT }),
             wire: "1F4A8002#1122334455667788",
         },
         Example {
@@ -139,17 +141,17 @@ fn identity_examples() -> Vec<Example> {
     vec![
         Example {
             says: "Node identity: TxNode 0x2A belongs to UID 0123456789ABCDEF",
-            message: Message::NodeIdentity(NodeIdentity { tx_node: NODE, uid: UID }),
+            message: ControlMessage::NodeIdentity(NodeIdentity { tx_node: NODE, uid: UID }),
             wire: "1F4A8007#0123456789ABCDEF",
         },
         Example {
             says: "Probe: who is there, and what do you use?",
-            message: Message::Probe(Probe { tx_node: NODE }),
+            message: ControlMessage::Probe(Probe { tx_node: NODE }),
             wire: "1F4A8008#",
         },
         Example {
             says: "Broker status: node 0x2A hosts the active broker",
-            message: Message::BrokerStatus(BrokerStatus { tx_node: NODE, uid: UID }),
+            message: ControlMessage::BrokerStatus(BrokerStatus { tx_node: NODE, uid: UID }),
             wire: "1F4A8009#0123456789ABCDEF",
         },
     ]
@@ -189,27 +191,27 @@ fn membership_examples() -> Vec<Example> {
     vec![
         Example {
             says: "Interest: node 0x2A announces etag 0x3FFE, SRT, for 3.0 s, layout DEADBEEF",
-            message: Message::Interest(interest),
+            message: ControlMessage::Interest(interest),
             wire: "1F4A8012#BFFE401EDEADBEEF",
         },
         Example {
             says: "Interest: node 0x2A subscribes to etag 100, HRT, for 1638.3 s, layout DEADBEEF",
-            message: Message::Interest(hard),
+            message: ControlMessage::Interest(hard),
             wire: "1F4A8012#00643FFFDEADBEEF",
         },
         Example {
             says: "Interest: node 0x2A withdraws its SRT subscription to etag 0x3FFE",
-            message: Message::Interest(ended),
+            message: ControlMessage::Interest(ended),
             wire: "1F4A8012#3FFE400000000000",
         },
         Example {
             says: "Node status: node 0x2A has started",
-            message: Message::NodeStatus(NodeStatus::first(NODE, NodeState::Starting)),
+            message: ControlMessage::NodeStatus(NodeStatus::first(NODE, NodeState::Starting)),
             wire: "1F4A8013#0000000000000000",
         },
         Example {
             says: "Node status: HRT inhibited, TEC 128, REC 5, sequence 7, 258 exceptions, up for an hour",
-            message: Message::NodeStatus(status),
+            message: ControlMessage::NodeStatus(status),
             wire: "1F4A8013#0280050701020E10",
         },
     ]
@@ -248,7 +250,7 @@ fn from_candump(text: &str) -> Frame {
 fn literal_frames() {
     for Example { says, message, wire } in examples() {
         assert_eq!(as_candump(&message.encode()), wire, "encode: {says}");
-        assert_eq!(Message::decode(&from_candump(wire)), Some(message), "decode: {says}");
+        assert_eq!(ControlMessage::decode(&from_candump(wire)), Some(message), "decode: {says}");
     }
 }
 
@@ -276,7 +278,7 @@ fn literal_frames_that_are_no_messages() {
         ("no message has etag 3", "1F5FC003#2A003FFE11223344"),
         ("an event is no message", "03EA8400#0102"),
     ] {
-        assert_eq!(Message::decode(&from_candump(wire)), None, "{why}");
+        assert_eq!(ControlMessage::decode(&from_candump(wire)), None, "{why}");
     }
 }
 
@@ -284,9 +286,9 @@ fn literal_frames_that_are_no_messages() {
 /// bit 21: that still holds the top bit of the stage.
 #[test]
 fn bit_21_of_the_old_brokers_replies_is_ignored() {
-    let reply = Message::decode(&from_candump("1F7FC000#000000000000000F"));
+    let reply = ControlMessage::decode(&from_candump("1F7FC000#000000000000000F"));
     let prefix = Prefix::new(0, Stage::FIRST).unwrap();
-    assert_eq!(reply, Some(Message::ConfigurationReply(ConfigurationReply::Prefix(prefix))));
+    assert_eq!(reply, Some(ControlMessage::ConfigurationReply(ConfigurationReply::Prefix(prefix))));
 }
 
 /// What the old client makes of the messages that are new, told in its own terms (FAMOUSO, CAN
@@ -297,9 +299,12 @@ fn old_clients_ignore_what_is_new() {
     for Example { says, message, .. } in examples() {
         let frame = message.encode();
         match message {
-            Message::ConfigurationReply(_) | Message::ConfigurationRequest(_) | Message::GetEtag(_) => {}
-            Message::SupplyEtag(supply) if !supply.is_claim() && supply.answer() != Answer::Refused => {}
-            Message::SupplyEtag(_) => {
+            ControlMessage::ConfigurationReply(_)
+            | ControlMessage::ConfigurationRequest(_)
+            | ControlMessage::GetEtag(_) => {}
+            ControlMessage::SupplyEtag(supply)
+                if !supply.is_claim() && supply.answer() != Answer::Refused => {}
+            ControlMessage::SupplyEtag(_) => {
                 let index = frame.payload.padded()[1].wrapping_shl(2);
                 assert!(index != 0 && index != 4, "{says}");
             }
@@ -352,8 +357,8 @@ proptest! {
     /// Any frame is decoded without a panic, and what was decoded survives the way to the wire and back.
     #[test]
     fn decoded_messages_round_trip(frame in any_frame()) {
-        if let Some(message) = Message::decode(&frame) {
-            prop_assert_eq!(Message::decode(&message.encode()), Some(message));
+        if let Some(message) = ControlMessage::decode(&frame) {
+            prop_assert_eq!(ControlMessage::decode(&message.encode()), Some(message));
         }
     }
 

@@ -2,7 +2,7 @@
 
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::network::soft::{
-    Etch, Full, Incident, IncidentKind, Outgoing, PriorityMap, RESERVED, Step, Tag,
+    Etch, EtchStep, Full, Incident, IncidentKind, Outgoing, PriorityMap, RESERVED, Tag,
 };
 use cosmic_core::time::{Duration, Instant};
 use proptest::prelude::*;
@@ -29,9 +29,9 @@ fn bulk(number: u8, priority: u8) -> Outgoing {
     Outgoing { tag: Tag(number), frame, deadline: Instant::FAR_FUTURE, expires_at: Instant::FAR_FUTURE }
 }
 
-fn loaded(step: Step) -> (Mailbox, Frame) {
+fn loaded(step: EtchStep) -> (Mailbox, Frame) {
     match step {
-        Step::Command(Command::Load(mailbox, frame)) => (mailbox, frame),
+        EtchStep::Command(Command::Load(mailbox, frame)) => (mailbox, frame),
         other => panic!("{other:?}"),
     }
 }
@@ -54,9 +54,9 @@ fn a_frame_is_promoted_as_its_deadline_nears() {
     let Some(Command::Load(Mailbox::Soft, frame)) = command else { panic!("{command:?}") };
     // 500 µs are three whole steps of 160 µs: priority 4, TxNode 5, etag 0x3FFF.
     assert_eq!(frame.id.raw(), 0x0081_7FFF);
-    let Step::SleepUntil(promotion) = etch.poll(at(0)) else { panic!("nothing else is to be done") };
+    let EtchStep::SleepUntil(promotion) = etch.poll(at(0)) else { panic!("nothing else is to be done") };
     assert_eq!(promotion.saturating_since(at(0)), Duration::from_ticks(20_001));
-    assert_eq!(etch.poll(promotion), Step::Command(Command::Withdraw(Mailbox::Soft)));
+    assert_eq!(etch.poll(promotion), EtchStep::Command(Command::Withdraw(Mailbox::Soft)));
     assert_eq!(etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, promotion).incident, None);
     let (_, frame) = loaded(etch.poll(promotion));
     assert_eq!(frame.id.priority().get(), 3);
@@ -67,9 +67,9 @@ fn an_earlier_deadline_overtakes_what_waits_in_the_mailbox() {
     let mut etch = Path::new(MAP);
     assert!(etch.submit_soft(at(0), soft(1, at(20_000), at(90_000))).unwrap().is_some());
     assert!(etch.submit_soft(at(10), soft(2, at(5_000), at(90_000))).unwrap().is_none());
-    assert_eq!(etch.poll(at(10)), Step::Command(Command::Withdraw(Mailbox::Soft)));
+    assert_eq!(etch.poll(at(10)), EtchStep::Command(Command::Withdraw(Mailbox::Soft)));
     // Nothing more is done until the controller has told what became of it.
-    assert!(matches!(etch.poll(at(11)), Step::SleepUntil(_)));
+    assert!(matches!(etch.poll(at(11)), EtchStep::SleepUntil(_)));
     etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(12));
     assert_eq!(loaded(etch.poll(at(12))).1.payload.as_slice(), [2]);
     etch.on_outcome(Mailbox::Soft, Outcome::Sent, at(150));
@@ -81,7 +81,7 @@ fn a_frame_on_the_wire_may_be_sent_in_spite_of_its_withdrawal() {
     let mut etch = Path::new(MAP);
     let _ = etch.submit_soft(at(0), soft(1, at(20_000), at(90_000))).unwrap();
     let _ = etch.submit_soft(at(10), soft(2, at(5_000), at(90_000))).unwrap();
-    assert_eq!(etch.poll(at(10)), Step::Command(Command::Withdraw(Mailbox::Soft)));
+    assert_eq!(etch.poll(at(10)), EtchStep::Command(Command::Withdraw(Mailbox::Soft)));
     let departure = etch.on_outcome(Mailbox::Soft, Outcome::Sent, at(120));
     assert_eq!(departure.sent.map(|sent| sent.tag), Some(Tag(1)));
     assert_eq!(loaded(etch.poll(at(120))).1.payload.as_slice(), [2]);
@@ -92,10 +92,10 @@ fn a_frame_on_the_wire_may_be_sent_in_spite_of_its_withdrawal() {
 fn a_missed_deadline_is_told_once_and_the_event_is_still_sent() {
     let mut etch = Path::new(MAP);
     let _ = etch.submit_soft(at(0), soft(1, at(100), at(900))).unwrap();
-    assert_eq!(etch.poll(at(50)), Step::SleepUntil(at(100)));
+    assert_eq!(etch.poll(at(50)), EtchStep::SleepUntil(at(100)));
     let missed = Incident { tag: Tag(1), kind: IncidentKind::MissedDeadline };
-    assert_eq!(etch.poll(at(100)), Step::Incident(missed));
-    assert_eq!(etch.poll(at(101)), Step::SleepUntil(at(900)));
+    assert_eq!(etch.poll(at(100)), EtchStep::Incident(missed));
+    assert_eq!(etch.poll(at(101)), EtchStep::SleepUntil(at(900)));
     let departure = etch.on_outcome(Mailbox::Soft, Outcome::Sent, at(300));
     assert_eq!((departure.sent.is_some(), departure.incident), (true, None));
     assert_eq!(etch.counters().missed, 1);
@@ -111,15 +111,15 @@ fn an_expired_event_is_discarded_from_queue_and_mailbox() {
     for now in 0..300 {
         loop {
             match etch.poll(at(now)) {
-                Step::Incident(incident) => told.push((now, incident.tag.0, incident.kind)),
-                Step::Command(Command::Withdraw(_)) => {
+                EtchStep::Incident(incident) => told.push((now, incident.tag.0, incident.kind)),
+                EtchStep::Command(Command::Withdraw(_)) => {
                     withdrawn = true;
                     let departure = etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(now));
                     let incident = departure.incident.unwrap();
                     told.push((now, incident.tag.0, incident.kind));
                 }
-                Step::Command(command) => panic!("{command:?}"),
-                Step::SleepUntil(_) => break,
+                EtchStep::Command(command) => panic!("{command:?}"),
+                EtchStep::SleepUntil(_) => break,
             }
         }
     }
@@ -137,10 +137,10 @@ fn importance_rules_among_non_real_time_events() {
         assert!(etch.submit_non_real_time(at(0), bulk(number, priority)).unwrap().is_none());
     }
     assert_eq!(etch.submit_non_real_time(at(0), bulk(5, 251)), Err(Full));
-    assert_eq!(etch.poll(at(0)), Step::Command(Command::Withdraw(Mailbox::NonRealTime)));
+    assert_eq!(etch.poll(at(0)), EtchStep::Command(Command::Withdraw(Mailbox::NonRealTime)));
     etch.on_outcome(Mailbox::NonRealTime, Outcome::Withdrawn, at(1));
     let mut order = Vec::new();
-    while let Step::Command(Command::Load(mailbox, frame)) = etch.poll(at(1)) {
+    while let EtchStep::Command(Command::Load(mailbox, frame)) = etch.poll(at(1)) {
         order.push(frame.payload.as_slice()[0]);
         etch.on_outcome(mailbox, Outcome::Sent, at(1));
     }
@@ -192,15 +192,15 @@ fn events_are_discarded_with_the_etag_of_their_channel_wherever_they_are() {
         let _ = etch.submit_soft(at(0), soft(1, at(9_000), at(99_000))).unwrap();
         if withdrawing {
             let _ = etch.submit_soft(at(0), soft(2, at(8_000), at(99_000))).unwrap();
-            assert_eq!(etch.poll(at(0)), Step::Command(Command::Withdraw(Mailbox::Soft)));
+            assert_eq!(etch.poll(at(0)), EtchStep::Command(Command::Withdraw(Mailbox::Soft)));
         }
         let _ = etch.submit_soft(at(0), soft(1, at(9_500), at(99_000))).unwrap();
         etch.revoke(at(5), |outgoing| outgoing.tag == Tag(1));
         let lost = Incident { tag: Tag(1), kind: IncidentKind::IdentifierLost };
         if !withdrawing {
-            assert_eq!(etch.poll(at(5)), Step::Command(Command::Withdraw(Mailbox::Soft)));
+            assert_eq!(etch.poll(at(5)), EtchStep::Command(Command::Withdraw(Mailbox::Soft)));
         }
-        assert_eq!(etch.poll(at(5)), Step::Incident(lost));
+        assert_eq!(etch.poll(at(5)), EtchStep::Incident(lost));
         assert_eq!(etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(6)).incident, Some(lost));
         assert_eq!((etch.len(), etch.counters().identifier_lost), (usize::from(withdrawing), 2));
         assert_eq!(etch.counters().expired, 0);
@@ -223,7 +223,7 @@ fn the_services_have_places_of_their_own() {
     assert!(!etch.has_room_for_services());
     assert_eq!(etch.submit_urgent(at(1), Tag::SERVICES, sync, at(99_000)), Err(Full));
     // They go before everything else.
-    assert_eq!(etch.poll(at(1)), Step::Command(Command::Withdraw(Mailbox::Soft)));
+    assert_eq!(etch.poll(at(1)), EtchStep::Command(Command::Withdraw(Mailbox::Soft)));
     etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(2));
     let (_, frame) = loaded(etch.poll(at(2)));
     assert_eq!((frame.id.priority(), frame.payload), (Priority::SOFT_MOST_URGENT, sync.payload));
@@ -288,9 +288,9 @@ impl Model {
     fn settle(&mut self) {
         for _ in 0..100 {
             match self.etch.poll(self.now) {
-                Step::Command(command) => self.execute(command),
-                Step::Incident(incident) => self.note(Some(incident)),
-                Step::SleepUntil(instant) => {
+                EtchStep::Command(command) => self.execute(command),
+                EtchStep::Incident(incident) => self.note(Some(incident)),
+                EtchStep::SleepUntil(instant) => {
                     assert!(instant > self.now, "a wake-up in the past");
                     self.wakes_at = instant;
                     return;

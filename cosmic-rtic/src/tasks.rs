@@ -7,7 +7,7 @@ use core::task::Poll;
 use cosmic_core::Capacity as _;
 use cosmic_core::can::{Command, Mailbox};
 use cosmic_core::event_half::{HardAccess as _, Input};
-use cosmic_core::network::hard::Step;
+use cosmic_core::network::hard::CalendarStep;
 use cosmic_core::time::Instant;
 use rtic_core::Mutex;
 use rtic_sync::signal::SignalReader;
@@ -80,14 +80,14 @@ impl<T: System> Calendar<T> {
             let now = T::Board::now();
             let dispatcher = &mut self.dispatcher;
             match self.hard.with(|buffers| T::Capacity::dispatch(dispatcher, now, buffers)) {
-                Step::Command(Command::Load(_, frame)) => self.mailbox.load(&frame),
-                Step::Command(Command::Withdraw(_)) => self.mailbox.withdraw(),
-                Step::Notify(buffer) => {
+                CalendarStep::Command(Command::Load(_, frame)) => self.mailbox.load(&frame),
+                CalendarStep::Command(Command::Withdraw(_)) => self.mailbox.withdraw(),
+                CalendarStep::Notify(buffer) => {
                     self.observer.notified();
                     self.notices.send(Input::Notice(buffer), now);
                 }
-                Step::Continue => {}
-                Step::SleepUntil(instant) => return instant,
+                CalendarStep::Continue => {}
+                CalendarStep::SleepUntil(instant) => return instant,
             }
         }
     }

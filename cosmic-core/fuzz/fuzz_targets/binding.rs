@@ -4,7 +4,7 @@
 use cosmic_core::can::Etag;
 use cosmic_core::client::{Binding, BindingEvent, BindingTiming};
 use cosmic_core::protocol::Output;
-use cosmic_core_fuzz::{Script, Step, check_wakeup, drain, subject, tx_node};
+use cosmic_core_fuzz::{Act, Script, check_wakeup, drain, subject, tx_node};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
@@ -13,17 +13,17 @@ fuzz_target!(|bytes: &[u8]| {
     while let Some(step) = script.next() {
         let now = script.now;
         match step {
-            Step::Frame(frame) => client.on_frame(&frame, now),
-            Step::Call(0..=9, of) => _ = client.bind(subject(of)),
-            Step::Call(10..=19, of) => client.set_tx_node(tx_node(of)),
-            Step::Call(20..=24, of) => client.forget(subject(of)),
-            Step::Call(25..=29, of) => {
+            Act::Frame(frame) => client.on_frame(&frame, now),
+            Act::Call(0..=9, of) => _ = client.bind(subject(of)),
+            Act::Call(10..=19, of) => client.set_tx_node(tx_node(of)),
+            Act::Call(20..=24, of) => client.forget(subject(of)),
+            Act::Call(25..=29, of) => {
                 _ = Etag::new(0x3F00 | u16::from(of)).map(|etag| client.assume(subject(of), etag));
             }
-            Step::Call(30..=34, of) => {
+            Act::Call(30..=34, of) => {
                 _ = Etag::new(0x3F00 | u16::from(of)).map(|etag| client.fix(subject(of), etag));
             }
-            Step::Call(..) | Step::Pause => {}
+            Act::Call(..) | Act::Pause => {}
         }
         drain(
             now,

@@ -5,7 +5,7 @@
 use std::collections::BTreeSet;
 
 use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
-use cosmic_core_fuzz::{Script, Step, check_wakeup, drain, subject, tx_node, uid};
+use cosmic_core_fuzz::{Act, Script, check_wakeup, drain, subject, tx_node, uid};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
@@ -18,14 +18,14 @@ fuzz_target!(|bytes: &[u8]| {
     while let Some(step) = script.next() {
         let now = script.now;
         match step {
-            Step::Frame(frame) => broker.on_frame(&frame, now),
-            Step::Call(0..=9, of) => {
+            Act::Frame(frame) => broker.on_frame(&frame, now),
+            Act::Call(0..=9, of) => {
                 host_id = tx_node(of);
                 broker.set_tx_node(now, host_id);
             }
-            Step::Call(10..=19, of) if uid(of) != host => _ = broker.release_node(uid(of)),
-            Step::Call(20..=29, of) => _ = broker.release_subject(subject(of)),
-            Step::Call(..) | Step::Pause => {}
+            Act::Call(10..=19, of) if uid(of) != host => _ = broker.release_node(uid(of)),
+            Act::Call(20..=29, of) => _ = broker.release_subject(subject(of)),
+            Act::Call(..) | Act::Pause => {}
         }
         drain(now, || broker.poll(now), |_| {});
         check_wakeup(now, broker.next_wakeup());

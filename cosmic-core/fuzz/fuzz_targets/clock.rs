@@ -5,7 +5,7 @@
 use cosmic_core::can::{Etag, Frame, Id, TxNode};
 use cosmic_core::protocol::Rank;
 use cosmic_core::sync::{ClockSync, SyncConfig};
-use cosmic_core_fuzz::{Script, Step, check_wakeup, drain, tx_node};
+use cosmic_core_fuzz::{Act, Script, check_wakeup, drain, tx_node};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
@@ -18,14 +18,14 @@ fuzz_target!(|bytes: &[u8]| {
     while let Some(step) = script.next() {
         let now = script.now;
         match step {
-            Step::Frame(frame) => clock.on_frame(&near_sync(&frame), now),
-            Step::Call(0..=9, of) => clock.set_tx_node(tx_node(of)),
-            Step::Call(..) => {
+            Act::Frame(frame) => clock.on_frame(&near_sync(&frame), now),
+            Act::Call(0..=9, of) => clock.set_tx_node(tx_node(of)),
+            Act::Call(..) => {
                 if let Some(frame) = sent.pop() {
                     clock.on_sent(&frame, now);
                 }
             }
-            Step::Pause => {}
+            Act::Pause => {}
         }
         drain(now, || clock.poll(now), |frame| sent.push(frame));
         while clock.poll_event().is_some() {}

@@ -3,7 +3,7 @@
 
 use cosmic_core::client::{Configuration, ConfigurationEvent, ConfigurationTiming};
 use cosmic_core::protocol::Output;
-use cosmic_core_fuzz::{Script, Step, check_wakeup, drain, tx_node, uid};
+use cosmic_core_fuzz::{Act, Script, check_wakeup, drain, tx_node, uid};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
@@ -17,9 +17,9 @@ fuzz_target!(|bytes: &[u8]| {
     while let Some(step) = script.next() {
         let now = script.now;
         match step {
-            Step::Frame(frame) => client.on_frame(&frame, now),
-            Step::Call(0, _) => client.release(),
-            Step::Call(..) | Step::Pause => {}
+            Act::Frame(frame) => client.on_frame(&frame, now),
+            Act::Call(0, _) => client.release(),
+            Act::Call(..) | Act::Pause => {}
         }
         // The node knows from the events alone whether it has an id.
         drain(

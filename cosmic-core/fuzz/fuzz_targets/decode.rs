@@ -2,7 +2,7 @@
 #![no_main]
 
 use cosmic_core::can::{Frame, Id, Payload};
-use cosmic_core::protocol::{FollowUp, Message, SyncMessage, names_its_sender};
+use cosmic_core::protocol::{ControlMessage, FollowUp, SyncMessage, names_its_sender};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
@@ -11,8 +11,8 @@ fuzz_target!(|bytes: &[u8]| {
     let Some(payload) = Payload::new(&data[..data.len().min(8)]) else { return };
     let frame = Frame::new(id, payload);
     let _ = names_its_sender(id);
-    if let Some(message) = Message::decode(&frame) {
-        assert_eq!(Message::decode(&message.encode()), Some(message));
+    if let Some(message) = ControlMessage::decode(&frame) {
+        assert_eq!(ControlMessage::decode(&message.encode()), Some(message));
     }
     if let Some(message) = SyncMessage::decode(&frame) {
         assert_eq!(SyncMessage::decode(&message.encode(id.tx_node())), Some(message));

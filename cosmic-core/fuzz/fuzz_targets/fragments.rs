@@ -4,7 +4,7 @@
 use cosmic_core::can::{Etag, Frame, Id, Priority, TxNode};
 use cosmic_core::network::fragments::{Fragmenter, Reassembler};
 use cosmic_core::time::Duration;
-use cosmic_core_fuzz::{Script, Step, check_wakeup};
+use cosmic_core_fuzz::{Act, Script, check_wakeup};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
@@ -16,14 +16,14 @@ fuzz_target!(|bytes: &[u8]| {
         let now = script.now;
         match step {
             // Not from the sender below, and from so few others that there is room for it.
-            Step::Frame(frame) => {
+            Act::Frame(frame) => {
                 let other = TxNode::new(frame.id.tx_node().get() % 2).unwrap();
                 let frame = Frame::new(Id::new(Priority::LEAST, other, Etag::BOUND_LAST), frame.payload);
                 if let Some(message) = receiver.on_frame(&frame, now) {
                     assert!(message.content.len() <= 40);
                 }
             }
-            Step::Call(len, value) => {
+            Act::Call(len, value) => {
                 let content = [value; 40];
                 let content = &content[..usize::from(len) % 41];
                 // A message like the one before may be taken for a repetition of it.
@@ -37,7 +37,7 @@ fuzz_target!(|bytes: &[u8]| {
                 }
                 assert_eq!(arrived.as_deref(), Some(content));
             }
-            Step::Pause => receiver.on_time(now),
+            Act::Pause => receiver.on_time(now),
         }
         check_wakeup(now, receiver.next_wakeup());
     }

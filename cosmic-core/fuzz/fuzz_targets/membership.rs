@@ -5,7 +5,7 @@ use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::membership::{Declarations, Health, Interests, Members, StatusReport};
 use cosmic_core::protocol::{Class, LayoutHash, Lease, NodeState, Side};
 use cosmic_core::time::Duration;
-use cosmic_core_fuzz::{Script, Step, check_wakeup, drain, tx_node};
+use cosmic_core_fuzz::{Act, Script, check_wakeup, drain, tx_node};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
@@ -17,20 +17,20 @@ fuzz_target!(|bytes: &[u8]| {
     while let Some(step) = script.next() {
         let now = script.now;
         match step {
-            Step::Frame(frame) => {
+            Act::Frame(frame) => {
                 let _ = members.on_frame(&frame, now);
                 let _ = interests.on_frame(&frame, now);
                 let _ = declarations.on_frame(&frame, now);
             }
-            Step::Call(0..=9, of) => declarations.set_tx_node(now, tx_node(of)),
-            Step::Call(10..=19, of) => {
+            Act::Call(0..=9, of) => declarations.set_tx_node(now, tx_node(of)),
+            Act::Call(10..=19, of) => {
                 let (etag, layout) = (Etag::new(of.into()).unwrap(), LayoutHash::new(of.into()));
                 let _ = declarations.declare(now, etag, Side::Publisher, Class::Soft, layout);
             }
-            Step::Call(20..=29, of) => {
+            Act::Call(20..=29, of) => {
                 declarations.withdraw(now, Etag::new(of.into()).unwrap(), Side::Publisher);
             }
-            Step::Call(_, of) => {
+            Act::Call(_, of) => {
                 let health = Health {
                     state: NodeState::Operational,
                     transmit_errors: of,
@@ -40,7 +40,7 @@ fuzz_target!(|bytes: &[u8]| {
                 let _ = report.poll(now, TxNode::MIN, &health);
                 assert!(report.next_wakeup() > now);
             }
-            Step::Pause => {}
+            Act::Pause => {}
         }
         drain(now, || members.poll(now), |_| {});
         drain(now, || interests.poll(now), |_| {});

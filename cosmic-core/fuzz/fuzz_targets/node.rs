@@ -7,7 +7,7 @@ use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{
     BitRate, Command, ErrorCounters, Etag, Frame, Id, Mailbox, Outcome, Priority, TxNode,
 };
-use cosmic_core::event_half::{self, Due, EventHalf, Input, Step as HalfStep, receive};
+use cosmic_core::event_half::{self, Due, EventHalf, Input, Step, receive};
 use cosmic_core::event_layer::{
     Channel, Depth, Event, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy, Publication,
     SoftAttributes, Subscription,
@@ -17,7 +17,7 @@ use cosmic_core::protocol::Rank;
 use cosmic_core::services::{NodeConfig, NodeServices};
 use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core_fuzz::{Script, Step, drain, subject, tx_node, uid};
+use cosmic_core_fuzz::{Act, Script, drain, subject, tx_node, uid};
 use libfuzzer_sys::fuzz_target;
 
 type Services = NodeServices<4, 8, 3, 4, Option<Broker<4, 4>>>;
@@ -186,10 +186,10 @@ impl Node {
 
     fn dispatch(&mut self, now: Instant) -> Option<()> {
         match self.dispatcher.poll(now, self.half.hard_mut()) {
-            hard::Step::Command(command) => self.execute(command),
-            hard::Step::Notify(buffer) => self.half.on_input(&Input::Notice(buffer), now),
-            hard::Step::Continue => {}
-            hard::Step::SleepUntil(at) => {
+            hard::CalendarStep::Command(command) => self.execute(command),
+            hard::CalendarStep::Notify(buffer) => self.half.on_input(&Input::Notice(buffer), now),
+            hard::CalendarStep::Continue => {}
+            hard::CalendarStep::SleepUntil(at) => {
                 assert!(at > now, "the dispatcher wakes at {at:?}, which is not behind {now:?}");
                 return None;
             }
@@ -199,8 +199,8 @@ impl Node {
 
     fn poll_half(&mut self, now: Instant) -> Option<()> {
         match self.half.poll(now) {
-            HalfStep::Command(command) => self.execute(command),
-            HalfStep::SleepUntil(at) => {
+            Step::Command(command) => self.execute(command),
+            Step::SleepUntil(at) => {
                 assert!(at > now, "the node wakes at {at:?}, which is not behind {now:?}");
                 return None;
             }
@@ -230,9 +230,9 @@ fuzz_target!(|bytes: &[u8]| {
     while let Some(step) = script.next() {
         let now = script.now;
         match step {
-            Step::Frame(frame) => node.on_frame(&near_events(frame), now),
-            Step::Call(number, of) => node.call(number, of, now),
-            Step::Pause => {}
+            Act::Frame(frame) => node.on_frame(&near_events(frame), now),
+            Act::Call(number, of) => node.call(number, of, now),
+            Act::Pause => {}
         }
         node.run(now);
     }

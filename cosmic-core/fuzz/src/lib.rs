@@ -12,7 +12,7 @@ pub struct Script<'a> {
 }
 
 /// One step of a script; the time of it is [`Script::now`].
-pub enum Step {
+pub enum Act {
     /// A frame arrives.
     Frame(Frame),
     /// The application makes its call of this number, with this argument.
@@ -62,16 +62,16 @@ impl<'a> Script<'a> {
 }
 
 impl Iterator for Script<'_> {
-    type Item = Step;
+    type Item = Act;
 
-    fn next(&mut self) -> Option<Step> {
+    fn next(&mut self) -> Option<Act> {
         let kind = self.byte()?;
         let span = self.pause()?;
         self.now = self.now + span;
         match kind {
-            0..=191 => self.frame().map(Step::Frame),
-            192..=239 => Some(Step::Call(kind - 192, self.byte()?)),
-            240.. => Some(Step::Pause),
+            0..=191 => self.frame().map(Act::Frame),
+            192..=239 => Some(Act::Call(kind - 192, self.byte()?)),
+            240.. => Some(Act::Pause),
         }
     }
 }

@@ -52,8 +52,8 @@ use self::session::Session;
 use crate::can::{Etag, Frame, Id, TxNode};
 use crate::jitter::times;
 use crate::protocol::{
-    Answer, BrokerStatus, ConfigurationReply, GetEtag, Halves, Interest, Message, Output, Probe, SupplyEtag,
-    names_its_sender,
+    Answer, BrokerStatus, ConfigurationReply, ControlMessage, GetEtag, Halves, Interest, Output, Probe,
+    SupplyEtag, names_its_sender,
 };
 use crate::ring::Ring;
 use crate::time::{Duration, Instant};
@@ -220,31 +220,36 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     }
 
     fn on_message(&mut self, now: Instant, frame: &Frame) {
-        match Message::decode(frame) {
-            Some(Message::ConfigurationRequest(request)) => self.on_configuration_request(now, request),
-            Some(Message::ConfigurationReply(reply)) => self.on_configuration_reply(now, reply),
-            Some(Message::ConfigurationRefusal(_)) => self.on_other_broker(now),
-            Some(Message::GetEtag(request)) => self.on_get_etag(now, request.requester, request.subject),
-            Some(Message::SupplyEtag(half)) => {
+        match ControlMessage::decode(frame) {
+            Some(ControlMessage::ConfigurationRequest(request)) => {
+                self.on_configuration_request(now, request)
+            }
+            Some(ControlMessage::ConfigurationReply(reply)) => self.on_configuration_reply(now, reply),
+            Some(ControlMessage::ConfigurationRefusal(_)) => self.on_other_broker(now),
+            Some(ControlMessage::GetEtag(request)) => {
+                self.on_get_etag(now, request.requester, request.subject)
+            }
+            Some(ControlMessage::SupplyEtag(half)) => {
                 if let Some(supply) = self.halves.join(half) {
                     self.on_supply(now, supply);
                 }
             }
-            Some(Message::NodeIdentity(identity)) => self.learn(identity.uid, identity.tx_node),
-            Some(Message::Release(release)) => {
+            Some(ControlMessage::NodeIdentity(identity)) => self.learn(identity.uid, identity.tx_node),
+            Some(ControlMessage::Release(release)) => {
                 let known = self.nodes.uid_of(release.tx_node) == Some(release.uid);
                 if known && !self.is_host(release.uid, release.tx_node) {
                     self.nodes.release(release.uid);
                 }
             }
-            Some(Message::BrokerStatus(status)) => self.on_broker_status(now, status),
+            Some(ControlMessage::BrokerStatus(status)) => self.on_broker_status(now, status),
             // What nobody wants any more is no use.
-            Some(Message::Interest(Interest { etag, lease, .. }))
+            Some(ControlMessage::Interest(Interest { etag, lease, .. }))
                 if etag >= Etag::BOUND_FIRST && !lease.is_withdrawn() =>
             {
                 self.subjects.occupy(etag, now + lease.duration());
             }
-            Some(Message::Interest(_) | Message::NodeStatus(_) | Message::Probe(_)) | None => {}
+            Some(ControlMessage::Interest(_) | ControlMessage::NodeStatus(_) | ControlMessage::Probe(_))
+            | None => {}
         }
     }
 

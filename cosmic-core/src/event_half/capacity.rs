@@ -41,7 +41,11 @@ pub trait Capacity: 'static {
     ) -> Self::Half<S, H>;
 
     /// As [`Dispatcher::poll`].
-    fn dispatch(dispatcher: &mut Self::Dispatcher, now: Instant, buffers: &mut Self::Buffers) -> hard::Step;
+    fn dispatch(
+        dispatcher: &mut Self::Dispatcher,
+        now: Instant,
+        buffers: &mut Self::Buffers,
+    ) -> hard::CalendarStep;
 
     /// As [`receive`].
     fn receive(frame: &Frame, at: Instant, hard: &mut impl HardAccess<Self::Buffers>) -> Option<Input>;
@@ -97,7 +101,11 @@ impl<
     }
 
     #[inline]
-    fn dispatch(dispatcher: &mut Self::Dispatcher, now: Instant, buffers: &mut Self::Buffers) -> hard::Step {
+    fn dispatch(
+        dispatcher: &mut Self::Dispatcher,
+        now: Instant,
+        buffers: &mut Self::Buffers,
+    ) -> hard::CalendarStep {
         dispatcher.poll(now, buffers)
     }
 

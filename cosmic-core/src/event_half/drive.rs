@@ -136,10 +136,10 @@ impl<
                 }
             }
             match self.etch.poll(now) {
-                soft::Step::Command(command) => return Step::Command(command),
+                soft::EtchStep::Command(command) => return Step::Command(command),
                 // What was discarded has left room for the services.
-                soft::Step::Incident(incident) => self.raise_soft(&incident, now),
-                soft::Step::SleepUntil(instant) => {
+                soft::EtchStep::Incident(incident) => self.raise_soft(&incident, now),
+                soft::EtchStep::SleepUntil(instant) => {
                     return Step::SleepUntil(instant.min(self.services_wakeup()));
                 }
             }

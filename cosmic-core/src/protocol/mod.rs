@@ -47,7 +47,7 @@ pub use sync::{FollowUp, Rank, SyncMessage, SyncSequence};
 /// Any control message of configuration, binding and membership.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Message {
+pub enum ControlMessage {
     /// A node asks for its TxNode.
     ConfigurationRequest(ConfigurationRequest),
     /// The broker confirms a prefix, assigns an id, or starts over.
@@ -72,7 +72,7 @@ pub enum Message {
     NodeStatus(NodeStatus),
 }
 
-impl Message {
+impl ControlMessage {
     /// The message in `frame`, if it is one. Constant time.
     pub fn decode(frame: &Frame) -> Option<Self> {
         match frame.id.etag() {

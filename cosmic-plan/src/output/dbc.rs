@@ -23,7 +23,7 @@ pub fn render(cluster: &Cluster) -> String {
     out
 }
 
-struct Message {
+struct DbcMessage {
     id: u32,
     name: String,
     length: u16,
@@ -37,7 +37,7 @@ struct Message {
 /// DBC marks identifiers of 29 bits by the highest of 32.
 const EXTENDED: u32 = 1 << 31;
 
-fn messages(cluster: &Cluster) -> Vec<Message> {
+fn messages(cluster: &Cluster) -> Vec<DbcMessage> {
     let mut messages = Vec::new();
     for (at, channel) in cluster.channels.iter().enumerate() {
         // Without an etag the frames have no identifier that is known here.
@@ -57,7 +57,7 @@ fn messages(cluster: &Cluster) -> Vec<Message> {
                 Class::Soft => " Its priority field (bits 28..21) varies from 1 to 249.",
                 _ => "",
             };
-            messages.push(Message {
+            messages.push(DbcMessage {
                 id: EXTENDED | Id::new(priority, node.tx_node, etag).raw(),
                 name,
                 length: channel.length.min(8),
@@ -75,11 +75,11 @@ fn messages(cluster: &Cluster) -> Vec<Message> {
 }
 
 /// Sync and follow-up, from the node that becomes master if all are there.
-fn sync_messages(cluster: &Cluster) -> Vec<Message> {
+fn sync_messages(cluster: &Cluster) -> Vec<DbcMessage> {
     let (Some(period), Some(master)) = (cluster.sync_period, cluster.nodes.first()) else {
         return Vec::new();
     };
-    let message = |name: &str, etag: Etag| Message {
+    let message = |name: &str, etag: Etag| DbcMessage {
         id: EXTENDED | Id::new(Priority::SOFT_MOST_URGENT, master.tx_node, etag).raw(),
         name: name.to_owned(),
         length: 8,
@@ -93,10 +93,10 @@ fn sync_messages(cluster: &Cluster) -> Vec<Message> {
     vec![message("cosmic_sync", Etag::SYNC), message("cosmic_follow_up", Etag::FOLLOW_UP)]
 }
 
-fn foreign_message(frame: &Foreign) -> Message {
+fn foreign_message(frame: &Foreign) -> DbcMessage {
     let legal = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
     let name: String = frame.name.chars().map(legal).collect();
-    Message {
+    DbcMessage {
         id: if frame.extended { EXTENDED | frame.id } else { frame.id },
         name: if name.starts_with(|c: char| c.is_ascii_digit()) { format!("frame_{name}") } else { name },
         length: u16::from(frame.length),
@@ -108,7 +108,7 @@ fn foreign_message(frame: &Foreign) -> Message {
     }
 }
 
-fn write_message(out: &mut String, message: &Message) -> std::fmt::Result {
+fn write_message(out: &mut String, message: &DbcMessage) -> std::fmt::Result {
     writeln!(out, "BO_ {} {}: {} {}", message.id, message.name, message.length, message.transmitter)?;
     let receivers =
         if message.receivers.is_empty() { "Vector__XXX".to_owned() } else { message.receivers.join(",") };
@@ -118,7 +118,7 @@ fn write_message(out: &mut String, message: &Message) -> std::fmt::Result {
     writeln!(out)
 }
 
-fn write_attributes(out: &mut String, cluster: &Cluster, messages: &[Message]) -> std::fmt::Result {
+fn write_attributes(out: &mut String, cluster: &Cluster, messages: &[DbcMessage]) -> std::fmt::Result {
     writeln!(out, "CM_ \"COSMIC segment {}.\";", cluster.name)?;
     for message in messages {
         writeln!(out, "CM_ BO_ {} \"{}\";", message.id, message.comment)?;

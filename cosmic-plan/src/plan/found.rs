@@ -21,15 +21,15 @@ pub enum Method {
 /// A slot with what it is for.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct PlannedSlot {
-    /// Position of its channel in [`Cluster::channels`].
+    /// Position of its channel in [`Cluster::channels`](crate::cluster::Cluster::channels).
     pub channel: usize,
-    /// Position of its publisher in [`Cluster::nodes`].
+    /// Position of its publisher in [`Cluster::nodes`](crate::cluster::Cluster::nodes).
     pub node: usize,
     /// The slot as it stands in the calendar.
     pub slot: Slot,
     /// Its instants.
     pub times: SlotTimes,
-    /// The pool whose window it shares: position in [`Cluster::pools`].
+    /// The pool whose window it shares: position in [`Cluster::pools`](crate::cluster::Cluster::pools).
     pub pool: Option<usize>,
 }
 

@@ -10,7 +10,7 @@ use cosmic_core::event_half::{EventHalf, Input, Step, outcome, receive};
 use cosmic_core::event_layer::{
     Channel, Depth, Event, ExceptionKind, Filter, HardAttributes, Policy, SoftAttributes,
 };
-use cosmic_core::network::hard::{Dispatcher, HrtBuffers, Step as HardStep};
+use cosmic_core::network::hard::{CalendarStep, Dispatcher, HrtBuffers};
 use cosmic_core::time::{Duration, GlobalClock, Instant};
 use cosmic_mcp2515::{Config, Filters, Mcp2515};
 use model::{NoDelay, Shared, Spi, World};
@@ -85,10 +85,10 @@ impl Node {
         }
         loop {
             match self.dispatcher.poll(now, self.half.hard_mut()) {
-                HardStep::Command(command) => self.chip.execute(&command, now).unwrap(),
-                HardStep::Notify(buffer) => self.half.on_input(&Input::Notice(buffer), now),
-                HardStep::Continue => {}
-                HardStep::SleepUntil(_) => break,
+                CalendarStep::Command(command) => self.chip.execute(&command, now).unwrap(),
+                CalendarStep::Notify(buffer) => self.half.on_input(&Input::Notice(buffer), now),
+                CalendarStep::Continue => {}
+                CalendarStep::SleepUntil(_) => break,
             }
         }
         while let Step::Command(command) = self.half.poll(now) {

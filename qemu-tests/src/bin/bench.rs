@@ -116,9 +116,9 @@ impl<const CHANNELS: usize> Node<CHANNELS> {
 
     /// One call of the calendar task.
     #[inline]
-    fn tick(&mut self, now: Instant) -> hard::Step {
+    fn tick(&mut self, now: Instant) -> hard::CalendarStep {
         let step = self.dispatcher.poll(now, self.half.hard_mut());
-        if let hard::Step::Command(Command::Load(_, frame)) = step {
+        if let hard::CalendarStep::Command(Command::Load(_, frame)) = step {
             store(Mailbox::Hard, &frame);
         }
         step
@@ -126,7 +126,7 @@ impl<const CHANNELS: usize> Node<CHANNELS> {
 
     /// Has the dispatcher sleep until the next instant.
     fn settle(&mut self, now: Instant) {
-        while !matches!(self.dispatcher.poll(now, self.half.hard_mut()), hard::Step::SleepUntil(_)) {}
+        while !matches!(self.dispatcher.poll(now, self.half.hard_mut()), hard::CalendarStep::SleepUntil(_)) {}
     }
 }
 
@@ -353,7 +353,7 @@ fn receive_hard() {
             prepared
         },
         move |node, (subscription, got)| {
-            if let hard::Step::Notify(buffer) = node.tick(delivery) {
+            if let hard::CalendarStep::Notify(buffer) = node.tick(delivery) {
                 node.half.on_input(&Input::Notice(buffer), delivery);
             }
             *got = node.half.next(subscription);
@@ -369,16 +369,16 @@ fn ticks() {
             node.announce(&hard(0));
             node.subscribe(&hard(1));
             node.settle(NOW);
-            hard::Step::Continue
+            hard::CalendarStep::Continue
         })
     };
-    let sleeps = |_: &Node<4>, step: &hard::Step| matches!(step, hard::Step::SleepUntil(_));
+    let sleeps = |_: &Node<4>, step: &hard::CalendarStep| matches!(step, hard::CalendarStep::SleepUntil(_));
     bench("tick, nothing due", node, move |node, step| *step = node.tick(now), sleeps);
     bench(
         "tick, slot without event",
         node,
         move |node, step| *step = node.tick(ready),
-        |_, step| matches!(step, hard::Step::Notify(_)),
+        |_, step| matches!(step, hard::CalendarStep::Notify(_)),
     );
     let after_slot = || {
         let mut prepared = node();

@@ -9,7 +9,7 @@
 
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
-use cosmic_core::network::hard::{Attach, BufferId, Counters, Dispatcher, HrtBuffers, Role, Step};
+use cosmic_core::network::hard::{Attach, BufferId, CalendarStep, Counters, Dispatcher, HrtBuffers, Role};
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant, Rate, Uncertainty};
 use qemu_tests::mono::Mono;
 use qemu_tests::{count, measured, pass, println};
@@ -167,7 +167,7 @@ impl Node {
         let mut command = None;
         loop {
             match self.dispatcher.poll(self.clock.to_local(now), &mut self.buffers) {
-                Step::Command(next) => {
+                CalendarStep::Command(next) => {
                     match next {
                         Command::Load(_, frame) => {
                             let value = frame.payload.as_slice()[0];
@@ -179,7 +179,7 @@ impl Node {
                     }
                     assert_eq!(command.replace(next), None);
                 }
-                Step::Notify(buffer) => {
+                CalendarStep::Notify(buffer) => {
                     assert_eq!(buffer, self.buffer);
                     if let Some(delivery) = self.buffers.take(buffer) {
                         assert!(self.clock.to_local(delivery.delivered_at) <= self.clock.to_local(now));
@@ -191,9 +191,9 @@ impl Node {
                         );
                     }
                 }
-                Step::Continue => {}
+                CalendarStep::Continue => {}
                 // Local instants are rounded down, so the next global nanosecond may be meant.
-                Step::SleepUntil(wake) => {
+                CalendarStep::SleepUntil(wake) => {
                     let wake = self.clock.to_global(wake).max(now + Duration::from_ticks(1));
                     return (wake, command);
                 }
@@ -245,10 +245,10 @@ fn measure(publisher: &mut Node, subscriber: &mut Node) {
         count::instructions(|| {
             buffers.publish(*buffer, frame.payload);
             let loaded = dispatcher.poll(clock.to_local(slot), buffers);
-            assert!(matches!(loaded, Step::Command(Command::Load(..))));
+            assert!(matches!(loaded, CalendarStep::Command(Command::Load(..))));
             buffers.on_outcome(Outcome::Sent, clock.to_local(slot + times.latest_start));
             let asleep = dispatcher.poll(clock.to_local(slot + times.delivery), buffers);
-            assert!(asleep == Step::Continue);
+            assert!(asleep == CalendarStep::Continue);
             slot = slot + period;
         }),
     );
@@ -259,10 +259,10 @@ fn measure(publisher: &mut Node, subscriber: &mut Node) {
         "subscriber: ready, arrival, delivery, take",
         count::instructions(|| {
             let opened = dispatcher.poll(clock.to_local(slot), buffers);
-            assert!(opened == Step::Continue);
+            assert!(opened == CalendarStep::Continue);
             assert!(buffers.on_frame(&frame, clock.to_local(slot + times.latest_start)));
             let delivered = dispatcher.poll(clock.to_local(slot + times.delivery), buffers);
-            assert!(delivered == Step::Notify(*buffer));
+            assert!(delivered == CalendarStep::Notify(*buffer));
             assert!(buffers.take(*buffer).is_some());
             slot = slot + period;
         }),
@@ -271,7 +271,7 @@ fn measure(publisher: &mut Node, subscriber: &mut Node) {
     print_measured(
         "poll, nothing due",
         count::instructions(|| {
-            assert!(matches!(dispatcher.poll(asleep, buffers), Step::SleepUntil(_)));
+            assert!(matches!(dispatcher.poll(asleep, buffers), CalendarStep::SleepUntil(_)));
         }),
     );
 }

@@ -9,7 +9,7 @@
 use core::hint::black_box;
 
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
-use cosmic_core::network::soft::{Etch, Full, Incident, Outgoing, PriorityMap, RESERVED, Step, Tag};
+use cosmic_core::network::soft::{Etch, EtchStep, Full, Incident, Outgoing, PriorityMap, RESERVED, Tag};
 use cosmic_core::time::{Duration, Instant};
 use qemu_tests::controller::{Controller, Sender, Sent};
 use qemu_tests::mono::Mono;
@@ -161,9 +161,9 @@ impl Node {
     fn poll(&mut self) -> Instant {
         loop {
             match self.etch.poll(self.now) {
-                Step::Command(command) => self.execute(command),
-                Step::Incident(exception) => self.report(Some(exception)),
-                Step::SleepUntil(instant) => return instant,
+                EtchStep::Command(command) => self.execute(command),
+                EtchStep::Incident(exception) => self.report(Some(exception)),
+                EtchStep::SleepUntil(instant) => return instant,
             }
         }
     }
@@ -243,7 +243,7 @@ fn measure() {
     print_measured(
         "poll, 63 events wait, nothing due",
         count::instructions(|| {
-            assert!(matches!(etch.poll(now), Step::SleepUntil(_)));
+            assert!(matches!(etch.poll(now), EtchStep::SleepUntil(_)));
         }),
     );
     print_measured(
@@ -251,7 +251,7 @@ fn measure() {
         count::instructions(|| {
             assert!(matches!(etch.submit_soft(now, outgoing(Priority::LEAST, 1, 1_000, 2_000)), Ok(None)));
             assert!(etch.on_outcome(Mailbox::Soft, Outcome::Sent, now).sent.is_some());
-            assert!(matches!(etch.poll(now), Step::Command(Command::Load(..))));
+            assert!(matches!(etch.poll(now), EtchStep::Command(Command::Load(..))));
         }),
     );
 }

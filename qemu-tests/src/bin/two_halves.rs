@@ -191,10 +191,12 @@ mod app {
     async fn calendar(mut cx: calendar::Context) {
         loop {
             match Locked.with(|buffers| cx.local.dispatcher.poll(now(), buffers)) {
-                hard::Step::Command(command) => execute(command, &mut cx.shared.hardware),
-                hard::Step::Notify(buffer) => post(Input::Notice(buffer), now(), &mut cx.shared.inbox),
-                hard::Step::Continue => {}
-                hard::Step::SleepUntil(instant) => {
+                hard::CalendarStep::Command(command) => execute(command, &mut cx.shared.hardware),
+                hard::CalendarStep::Notify(buffer) => {
+                    post(Input::Notice(buffer), now(), &mut cx.shared.inbox)
+                }
+                hard::CalendarStep::Continue => {}
+                hard::CalendarStep::SleepUntil(instant) => {
                     Mono::delay_until(mono::instant(instant)).await;
                     let late = now().saturating_since(instant);
                     let act = usize::from(ACT.load(Ordering::Relaxed));

@@ -159,10 +159,10 @@ impl Host {
         while now <= until {
             let calendar = loop {
                 match self.dispatcher.poll(now, self.half.hard_mut()) {
-                    hard::Step::Command(command) => self.execute(command, now),
-                    hard::Step::Notify(buffer) => self.half.on_input(&Input::Notice(buffer), now),
-                    hard::Step::Continue => {}
-                    hard::Step::SleepUntil(instant) => break instant,
+                    hard::CalendarStep::Command(command) => self.execute(command, now),
+                    hard::CalendarStep::Notify(buffer) => self.half.on_input(&Input::Notice(buffer), now),
+                    hard::CalendarStep::Continue => {}
+                    hard::CalendarStep::SleepUntil(instant) => break instant,
                 }
             };
             let events = loop {

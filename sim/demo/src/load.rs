@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, VecDeque};
 use cosmic_bus::{EventKind, VirtualInstant};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::event_layer::Importance;
-use cosmic_core::network::soft::{Etch, IncidentKind, Outgoing, PriorityMap, Step, Tag};
+use cosmic_core::network::soft::{Etch, EtchStep, IncidentKind, Outgoing, PriorityMap, Tag};
 use cosmic_core::time::{Duration, Instant};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -127,9 +127,9 @@ impl Background {
         }
         loop {
             match self.etch.poll(local(now)) {
-                Step::Command(command) => commands.push(command),
-                Step::Incident(exception) => self.count(exception.kind),
-                Step::SleepUntil(instant) => {
+                EtchStep::Command(command) => commands.push(command),
+                EtchStep::Incident(exception) => self.count(exception.kind),
+                EtchStep::SleepUntil(instant) => {
                     self.polls_at = instant;
                     return;
                 }

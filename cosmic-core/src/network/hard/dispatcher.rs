@@ -9,7 +9,7 @@ use crate::time::{Duration, GlobalClock, GlobalInstant, Instant};
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
-pub enum Step {
+pub enum CalendarStep {
     /// Have the driver carry this out, then poll again.
     Command(Command),
     /// Something in this buffer concerns the event layer: an event has become visible, or a count has
@@ -117,7 +117,7 @@ impl<const N: usize> Dispatcher<N> {
     }
 
     /// Handles the earliest instant of the calendar that is due.
-    pub fn poll(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
+    pub fn poll(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
         if self.revision != buffers.revision
             && let Err(step) = self.revise(now, buffers)
         {
@@ -129,7 +129,7 @@ impl<const N: usize> Dispatcher<N> {
             return step;
         }
         if now < self.next.wake {
-            return Step::SleepUntil(self.next.wake.min(now + Self::LONGEST_SLEEP));
+            return CalendarStep::SleepUntil(self.next.wake.min(now + Self::LONGEST_SLEEP));
         }
         self.next.is_known = false;
         match self.next.stage {
@@ -141,11 +141,11 @@ impl<const N: usize> Dispatcher<N> {
 
     /// Looks for the next instant; or says what is to be done before it can be known.
     #[inline(never)]
-    fn find_next(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Result<(), Step> {
+    fn find_next(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Result<(), CalendarStep> {
         let Some((at, Occurrence { ready, stage, due, .. })) = self.earliest() else {
-            return Err(Step::SleepUntil(now + Self::LONGEST_SLEEP));
+            return Err(CalendarStep::SleepUntil(now + Self::LONGEST_SLEEP));
         };
-        let Some(slot) = buffers.slot(at) else { return Err(Step::Continue) };
+        let Some(slot) = buffers.slot(at) else { return Err(CalendarStep::Continue) };
         let wake = buffers.clock.to_local(due);
         // An instant further away than a period has been slept through.
         if wake.signed_since(now).unsigned_abs() > slot.longest_distance() {
@@ -167,7 +167,7 @@ impl<const N: usize> Dispatcher<N> {
 
     /// Loads the fresh event, if all is as it should be.
     #[inline]
-    fn release(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
+    fn release(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
         let punctual = now <= self.next.latest && self.next.accurate && !buffers.inhibited;
         let (_, places, mailbox) = buffers.parts_mut();
         if let Some(Some(buffer)) = places.get_mut(usize::from(self.next.buffer))
@@ -178,27 +178,29 @@ impl<const N: usize> Dispatcher<N> {
         {
             *mailbox = HardMailbox::Loaded(self.next.buffer);
             self.enter(Stage::Deadline, self.next.deadline);
-            return Step::Command(Command::Load(MAILBOX, buffer.load()));
+            return CalendarStep::Command(Command::Load(MAILBOX, buffer.load()));
         }
         self.pass_over(now, buffers)
     }
 
     /// There is nothing to release, or it must not be released.
     #[inline(never)]
-    fn pass_over(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
+    fn pass_over(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
         let silent = self.must_keep_silent(now, buffers);
         let (slots, places, _) = buffers.parts_mut();
-        let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return Step::Continue };
+        let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return CalendarStep::Continue };
         if now.saturating_since(self.next.wake).as_ticks() > slot.longest_distance() {
             return self.realign(self.next.at, now, buffers);
         }
-        let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) else { return Step::Continue };
+        let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) else {
+            return CalendarStep::Continue;
+        };
         self.leave(slot, buffer.role.subscribes);
         buffer.forget_early(self.next.wake.saturating_sub(self.gap));
         // What could not be sent in its slot is stale in the next.
         let fresh = core::mem::take(&mut buffer.fresh);
         if !buffer.role.publishes || !(fresh || slot.periodic) {
-            return Step::Continue;
+            return CalendarStep::Continue;
         }
         let counters = &mut buffer.counters;
         let count = if !fresh {
@@ -209,13 +211,13 @@ impl<const N: usize> Dispatcher<N> {
             &mut counters.skipped
         };
         *count = count.wrapping_add(1);
-        Step::Notify(BufferId(slot.buffer))
+        CalendarStep::Notify(BufferId(slot.buffer))
     }
 
     #[inline(never)]
-    fn withdraw(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
+    fn withdraw(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
         let (slots, places, mailbox) = buffers.parts_mut();
-        let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return Step::Continue };
+        let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return CalendarStep::Continue };
         if now.saturating_since(self.next.wake).as_ticks() > slot.longest_distance() {
             return self.realign(self.next.at, now, buffers);
         }
@@ -224,35 +226,37 @@ impl<const N: usize> Dispatcher<N> {
         self.leave(slot, subscribes);
         if *mailbox == HardMailbox::Loaded(slot.buffer) {
             *mailbox = HardMailbox::Withdrawing(slot.buffer);
-            return Step::Command(Command::Withdraw(MAILBOX));
+            return CalendarStep::Command(Command::Withdraw(MAILBOX));
         }
-        Step::Continue
+        CalendarStep::Continue
     }
 
     #[inline(never)]
-    fn deliver(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
+    fn deliver(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
         let silent = self.must_keep_silent(now, buffers);
         let Some(Some(occurrence)) = self.occurrences.get(usize::from(self.next.at)) else {
-            return Step::Continue;
+            return CalendarStep::Continue;
         };
         let due = occurrence.due;
         let (slots, places, _) = buffers.parts_mut();
-        let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return Step::Continue };
+        let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return CalendarStep::Continue };
         if now.saturating_since(self.next.wake).as_ticks() > slot.longest_distance() {
             return self.realign(self.next.at, now, buffers);
         }
         self.leave(slot, false);
-        let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) else { return Step::Continue };
+        let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) else {
+            return CalendarStep::Continue;
+        };
         if silent {
             buffer.arriving = None;
             buffer.counters.inhibited = buffer.counters.inhibited.wrapping_add(1);
         } else if !buffer.deliver(self.next.opened, due) {
             if !slot.periodic {
-                return Step::Continue;
+                return CalendarStep::Continue;
             }
             buffer.counters.missed = buffer.counters.missed.wrapping_add(1);
         }
-        Step::Notify(BufferId(slot.buffer))
+        CalendarStep::Notify(BufferId(slot.buffer))
     }
 
     #[inline]
@@ -286,30 +290,30 @@ impl<const N: usize> Dispatcher<N> {
     /// Starts a slot again at its next occurrence, after more than a period has been slept through. What was
     /// under way is given up and counted.
     #[cold]
-    fn realign(&mut self, at: u8, now: Instant, buffers: &mut HrtBuffers<N>) -> Step {
+    fn realign(&mut self, at: u8, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
         let today = buffers.clock.to_global(now);
         let (slots, places, mailbox) = buffers.parts_mut();
-        let Some(Some(slot)) = slots.get(usize::from(at)) else { return Step::Continue };
+        let Some(Some(slot)) = slots.get(usize::from(at)) else { return CalendarStep::Continue };
         self.start(at.into(), slot, today);
         if let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) {
             buffer.counters.skipped = buffer.counters.skipped.wrapping_add(1);
         }
         if *mailbox == HardMailbox::Loaded(slot.buffer) {
             *mailbox = HardMailbox::Withdrawing(slot.buffer);
-            return Step::Command(Command::Withdraw(MAILBOX));
+            return CalendarStep::Command(Command::Withdraw(MAILBOX));
         }
-        Step::Notify(BufferId(slot.buffer))
+        CalendarStep::Notify(BufferId(slot.buffer))
     }
 
     /// Slots have come or gone, or the clock is another one: starts the new slots at their next occurrence,
     /// and all of them if the clock was set; or says what is to be done before that. O(N).
     #[inline(never)]
     #[allow(clippy::indexing_slicing, reason = "slots and occurrences are equally many")]
-    fn revise(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Result<(), Step> {
+    fn revise(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Result<(), CalendarStep> {
         self.next.is_known = false;
         if buffers.mailbox == HardMailbox::Orphaned {
             buffers.mailbox = HardMailbox::Abandoned;
-            return Err(Step::Command(Command::Withdraw(MAILBOX)));
+            return Err(CalendarStep::Command(Command::Withdraw(MAILBOX)));
         }
         let today = buffers.clock.to_global(now);
         // No two clocks that are accurate enough differ by more than the gap.
@@ -332,7 +336,7 @@ impl<const N: usize> Dispatcher<N> {
 
     /// Starts the slots again that are left, as long as nothing must be said about one of them: their old
     /// instants may lie far in the future, or in the past.
-    fn restart(&mut self, today: GlobalInstant, buffers: &mut HrtBuffers<N>) -> Result<(), Step> {
+    fn restart(&mut self, today: GlobalInstant, buffers: &mut HrtBuffers<N>) -> Result<(), CalendarStep> {
         while self.restarting < N {
             abandon(buffers)?;
             let at = self.restarting;
@@ -345,7 +349,7 @@ impl<const N: usize> Dispatcher<N> {
             if let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer))
                 && buffer.give_up(open)
             {
-                return Err(Step::Notify(BufferId(slot.buffer)));
+                return Err(CalendarStep::Notify(BufferId(slot.buffer)));
             }
         }
         Ok(())
@@ -369,14 +373,14 @@ impl<const N: usize> Dispatcher<N> {
 }
 
 /// Withdraws a frame whose slot the clock has left. Even if it is sent, it is of no slot any more.
-fn abandon<const N: usize>(buffers: &mut HrtBuffers<N>) -> Result<(), Step> {
+fn abandon<const N: usize>(buffers: &mut HrtBuffers<N>) -> Result<(), CalendarStep> {
     let (HardMailbox::Loaded(at) | HardMailbox::Withdrawing(at)) = buffers.mailbox else { return Ok(()) };
     let requested = core::mem::replace(&mut buffers.mailbox, HardMailbox::Abandoned);
     if let Some(buffer) = buffers.buffer_mut(at) {
         buffer.counters.omitted = buffer.counters.omitted.wrapping_add(1);
     }
     match requested {
-        HardMailbox::Loaded(_) => Err(Step::Command(Command::Withdraw(MAILBOX))),
+        HardMailbox::Loaded(_) => Err(CalendarStep::Command(Command::Withdraw(MAILBOX))),
         _ => Ok(()),
     }
 }

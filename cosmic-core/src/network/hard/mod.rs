@@ -2,15 +2,15 @@
 //!
 //! The time-triggered half of a node is the [`Dispatcher`], which belongs to the task of the highest
 //! priority and is shared with nobody. It sleeps from one instant of the calendar to the next, and at
-//! each says what to do, a [`Step`]:
+//! each says what to do, a [`CalendarStep`]:
 //!
 //! ```text
 //! loop {
 //!     match buffers.lock(|buffers| dispatcher.poll(now(), buffers)) {
-//!         Step::Command(command) => hard_mailbox.execute(command),
-//!         Step::Notify(buffer) => wake the event layer,
-//!         Step::Continue => {}
-//!         Step::SleepUntil(instant) => delay_until(instant).await,
+//!         CalendarStep::Command(command) => hard_mailbox.execute(command),
+//!         CalendarStep::Notify(buffer) => wake the event layer,
+//!         CalendarStep::Continue => {}
+//!         CalendarStep::SleepUntil(instant) => delay_until(instant).await,
 //!     }
 //! }
 //! ```
@@ -30,4 +30,4 @@ mod dispatcher;
 
 pub use buffers::{Attach, AttachError, BufferId, Delivery, HrtBuffers, Role};
 pub use counters::Counters;
-pub use dispatcher::{Dispatcher, Step};
+pub use dispatcher::{CalendarStep, Dispatcher};

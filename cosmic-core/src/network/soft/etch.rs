@@ -80,7 +80,7 @@ impl PriorityMap {
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
-pub enum Step {
+pub enum EtchStep {
     /// Have the driver carry this out, then poll again.
     Command(Command),
     /// Tell the publisher, then poll again.
@@ -123,7 +123,7 @@ impl EtchCounters {
 /// Calls may come in any order: [`submit_soft`](Self::submit_soft) and
 /// [`submit_non_real_time`](Self::submit_non_real_time) from the event layer,
 /// [`on_outcome`](Self::on_outcome) for every `Load` that was commanded. After each of them, and at the
-/// instant it named, [`poll`](Self::poll) until it says [`Step::SleepUntil`].
+/// instant it named, [`poll`](Self::poll) until it says [`EtchStep::SleepUntil`].
 #[derive(Clone, Debug)]
 pub struct Etch<const SOFT: usize, const NRT: usize> {
     map: PriorityMap,
@@ -296,34 +296,34 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     }
 
     /// What is to be done now: at most one withdrawal, load or report a call, O(SOFT + NRT).
-    pub fn poll(&mut self, now: Instant) -> Step {
+    pub fn poll(&mut self, now: Instant) -> EtchStep {
         if let Some(attended) = self.attend(now) {
             return match attended {
-                Attended::Command(command) => Step::Command(command),
+                Attended::Command(command) => EtchStep::Command(command),
                 Attended::Incident(incident) => {
                     self.count(&incident);
-                    Step::Incident(incident)
+                    EtchStep::Incident(incident)
                 }
             };
         }
         if let Some(outgoing) = self.soft.load() {
-            return Step::Command(self.load_soft(now, &outgoing));
+            return EtchStep::Command(self.load_soft(now, &outgoing));
         }
         if let Some(outgoing) = self.non_real_time.load() {
-            return Step::Command(Command::Load(Mailbox::NonRealTime, outgoing.frame));
+            return EtchStep::Command(Command::Load(Mailbox::NonRealTime, outgoing.frame));
         }
         let promote = self.soft.loaded().is_some() && now >= self.promotion_at;
         if (promote || self.soft.is_overtaken())
             && let Some(command) = self.soft.withdraw()
         {
-            return Step::Command(command);
+            return EtchStep::Command(command);
         }
         if self.non_real_time.is_overtaken()
             && let Some(command) = self.non_real_time.withdraw()
         {
-            return Step::Command(command);
+            return EtchStep::Command(command);
         }
-        Step::SleepUntil(self.next_wakeup())
+        EtchStep::SleepUntil(self.next_wakeup())
     }
 
     fn attend(&mut self, now: Instant) -> Option<Attended> {

@@ -17,6 +17,6 @@ mod etch;
 mod lane;
 mod queue;
 
-pub use etch::{Etch, EtchCounters, Full, PriorityMap, Step};
+pub use etch::{Etch, EtchCounters, EtchStep, Full, PriorityMap};
 pub use lane::{Departure, Incident, IncidentKind, Outgoing, RESERVED, Tag};
 pub use queue::Queue;

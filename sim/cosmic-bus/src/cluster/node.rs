@@ -272,16 +272,16 @@ impl<S: Services> Node<S> {
         while let Some(running) = &mut self.running {
             let local = running.clock.read(now);
             match running.dispatcher.poll(local, running.half.hard_mut()) {
-                hard::Step::Command(command) => {
+                hard::CalendarStep::Command(command) => {
                     self.commands.push(command);
                     self.execute(bus, now);
                 }
-                hard::Step::Notify(buffer) => {
+                hard::CalendarStep::Notify(buffer) => {
                     running.half.on_input(&Input::Notice(buffer), local);
                     notified = true;
                 }
-                hard::Step::Continue => {}
-                hard::Step::SleepUntil(instant) => {
+                hard::CalendarStep::Continue => {}
+                hard::CalendarStep::SleepUntil(instant) => {
                     let wake = running.clock.when(instant).max(now);
                     let delay = draw(&mut self.random, self.config.clock.release_delay);
                     self.hard_wakes_at = wake + delay;

@@ -9,7 +9,7 @@ use super::{Policy, Releases};
 use cosmic_bus::time::{EPOCH, FAR_FUTURE};
 use cosmic_bus::{Bus, Event, EventKind, FaultModel, Filters, StationId, VirtualInstant, WireFrame};
 use cosmic_core::can::{BitRate, Command, Mailbox, Outcome};
-use cosmic_core::network::soft::{Etch, Outgoing, PriorityMap, Step, Tag};
+use cosmic_core::network::soft::{Etch, EtchStep, Outgoing, PriorityMap, Tag};
 use cosmic_core::time::{Duration, Instant};
 
 /// A queue that holds every message of a set at once.
@@ -139,13 +139,13 @@ impl<'s> Simulation<'s> {
             loop {
                 let node = &mut self.nodes[at];
                 match node.handler.poll(local_of(now)) {
-                    Step::Command(command) => {
+                    EtchStep::Command(command) => {
                         let station = node.station;
                         self.execute(station, command, now);
                     }
                     // The judge looks at the bus.
-                    Step::Incident(_) => {}
-                    Step::SleepUntil(instant) => {
+                    EtchStep::Incident(_) => {}
+                    EtchStep::SleepUntil(instant) => {
                         node.wakes_at = virtual_of(instant);
                         break;
                     }
