@@ -33,7 +33,7 @@ pub struct Slot {
     pub len: u8,
     /// How many omissions the window tolerates (k).
     pub omission_degree: u8,
-    /// Does every period carry an event? Then a period without one is an error.
+    /// Whether every period carries an event. Then a period without one is an error.
     pub periodic: bool,
     /// The span between two occurrences; divides the cycle.
     pub period: Duration,
@@ -42,7 +42,7 @@ pub struct Slot {
 }
 
 impl Slot {
-    /// Does each occurrence of one begin with one of the other?
+    /// Returns whether each occurrence of one begins with one of the other.
     const fn is_ready_with(&self, other: &Self) -> bool {
         self.period.as_ticks() == other.period.as_ticks() && self.phase.as_ticks() == other.phase.as_ticks()
     }
@@ -320,7 +320,8 @@ const fn check_slot(
     Ok(())
 }
 
-/// Does some occurrence of `other` begin within one of the windows of `slot`, and not as part of its pool?
+/// Returns whether some occurrence of `other` begins within one of the windows of `slot`, and not as part of
+/// its pool.
 const fn overlaps(slot: &Slot, window: u64, other: &Slot) -> bool {
     if slot.is_ready_with(other) {
         return slot.publisher.get() == other.publisher.get()

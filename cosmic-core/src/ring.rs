@@ -40,7 +40,7 @@ impl<T: Copy, const N: usize> Ring<T, N> {
         Some(value)
     }
 
-    /// Is there none?
+    /// Returns whether there is none.
     pub(crate) const fn is_empty(&self) -> bool {
         self.len == 0
     }

@@ -5,6 +5,10 @@
 //! [plan](cosmic_core::plan::NodePlan) names. From then on the runtime owns it, part by part: each part belongs to
 //! one task or interrupt, so that none needs a lock.
 
+use core::future::poll_fn;
+use core::pin::pin;
+use core::task::Poll;
+
 use cosmic_core::can::{ErrorCounters, Frame, Mailbox, Outcome};
 use cosmic_core::time::Instant;
 
@@ -36,7 +40,7 @@ pub trait Board: Sized + 'static {
     /// Waits until local time has reached `instant` or `other` has ended. A board whose timer can do both in one
     /// spares the calendar task some instructions.
     fn until(instant: Instant, other: impl Future<Output = ()>) -> impl Future<Output = ()> {
-        crate::tasks::either(other, Self::delay_until(instant))
+        either(other, Self::delay_until(instant))
     }
 
     /// Takes the board apart.
@@ -100,4 +104,17 @@ pub trait BusStatus {
 pub trait BusChanges {
     /// Acknowledges what has changed, and returns whether the controller has left the bus since the last call.
     fn take_bus_off(&mut self) -> bool;
+}
+
+/// Waits until one of them has ended.
+async fn either(one: impl Future<Output = ()>, other: impl Future<Output = ()>) {
+    let (mut one, mut other) = (pin!(one), pin!(other));
+    poll_fn(|context| {
+        if one.as_mut().poll(context).is_ready() || other.as_mut().poll(context).is_ready() {
+            Poll::Ready(())
+        } else {
+            Poll::Pending
+        }
+    })
+    .await;
 }

@@ -2,7 +2,7 @@
 
 use cosmic_core::plan::NodePlan;
 use cosmic_core::services::{ClockService, Services};
-use cosmic_core::time::sync::SyncConfigError;
+use cosmic_core::sync::SyncConfigError;
 use cosmic_core::time::{GlobalClock, Instant};
 use cosmic_core::{Capacity, Half as _};
 

@@ -1,9 +1,5 @@
 //! What the tasks of every node do. [The crate](crate) says which runs at which priority.
 
-use core::future::poll_fn;
-use core::pin::pin;
-use core::task::Poll;
-
 use cosmic_core::Capacity as _;
 use cosmic_core::can::{Command, Mailbox};
 use cosmic_core::event_half::{HardAccess as _, Input};
@@ -177,17 +173,4 @@ impl Events {
             node.lock(|node| node.take_in(&item));
         }
     }
-}
-
-/// Waits until one of them has ended.
-pub(crate) async fn either(one: impl Future<Output = ()>, other: impl Future<Output = ()>) {
-    let (mut one, mut other) = (pin!(one), pin!(other));
-    poll_fn(|context| {
-        if one.as_mut().poll(context).is_ready() || other.as_mut().poll(context).is_ready() {
-            Poll::Ready(())
-        } else {
-            Poll::Pending
-        }
-    })
-    .await;
 }

@@ -78,9 +78,15 @@ cosmic_core::content! {
     }
 }
 
+/// Content that counts its events, so that records of publisher and subscriber can be matched.
+pub trait Sequenced: Content {
+    /// The number of the event, on its channel and by its publisher.
+    fn sequence(&self) -> u32;
+}
+
 macro_rules! sequenced {
     ($($content:ty),+) => {$(
-        impl crate::records::Sequenced for $content {
+        impl Sequenced for $content {
             #[inline]
             fn sequence(&self) -> u32 {
                 self.sequence

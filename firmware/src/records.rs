@@ -21,18 +21,12 @@ use cosmic_core::event_layer::{Channel, Content, Exception};
 use cosmic_core::time::Instant;
 use rtt_target::{ChannelMode, UpChannel};
 
-use crate::cluster;
+use crate::cluster::{self, Sequenced};
 
 /// The record channel.
 pub struct Records {
     channel: UpChannel,
     lost: u32,
-}
-
-/// Content that counts its events, so that records of publisher and subscriber can be matched.
-pub trait Sequenced: Content {
-    /// The number of the event, on its channel and by its publisher.
-    fn sequence(&self) -> u32;
 }
 
 /// One record.

@@ -8,8 +8,9 @@ use cosmic_core::services::ClockService;
 use cosmic_core::time::Instant;
 use cosmic_rtic::{CalendarObserver, Observer, Observes, Parts, Storage, System, start_observed};
 
+use crate::cluster::Sequenced;
 use crate::cluster::plan::Capacities;
-use crate::records::{Records, Sequenced};
+use crate::records::Records;
 
 /// What a node of the vehicle is made of.
 pub struct Vehicle;

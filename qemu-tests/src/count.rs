@@ -21,7 +21,7 @@ use crate::device::Timer;
 pub struct Count {
     /// Instructions, without those of the call and the return.
     pub instructions: u32,
-    /// Did all runs take the same? If not, `instructions` is their mean.
+    /// Whether all runs took the same. If not, `instructions` is their mean.
     pub exact: bool,
 }
 

@@ -36,7 +36,7 @@ impl Session {
         Self { bits: 0, expected: Stage::FIRST, last_heard_at: Instant::EPOCH, answered: None }
     }
 
-    /// Is no search going on?
+    /// Returns whether no search is going on.
     pub(super) fn is_idle(&self) -> bool {
         self.expected == Stage::FIRST
     }

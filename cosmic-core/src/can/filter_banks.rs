@@ -55,12 +55,12 @@ impl Wanted {
         Self { fifo, id: id.raw() & mask, mask: mask & ID_BITS }
     }
 
-    /// Is this identifier among them?
+    /// Returns whether this identifier is among them.
     pub const fn contains(&self, id: Id) -> bool {
         (id.raw() ^ self.id) & self.mask == 0
     }
 
-    /// Are all identifiers of `other` among them?
+    /// Returns whether all identifiers of `other` are among them.
     const fn covers(&self, other: &Self) -> bool {
         self.mask & !other.mask == 0 && (self.id ^ other.id) & self.mask == 0
     }
@@ -96,7 +96,7 @@ impl FilterBank {
         }
     }
 
-    /// Does it accept extended data frames of this identifier?
+    /// Returns whether it accepts extended data frames of this identifier.
     pub fn accepts(&self, id: Id) -> bool {
         match self {
             Self::Mask { id: wanted, mask, .. } => (id.raw() ^ wanted) & mask == 0,

@@ -104,7 +104,7 @@ impl Payload {
         self.len as usize
     }
 
-    /// Are there none?
+    /// Returns whether there are none.
     #[inline]
     pub const fn is_empty(&self) -> bool {
         matches!(self.len, Len::L0)

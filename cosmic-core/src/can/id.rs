@@ -112,13 +112,13 @@ impl Etag {
         self.0
     }
 
-    /// Is this one of the etags that the protocol keeps for itself (0..=99)?
+    /// Returns whether this is one of the etags that the protocol keeps for itself (0..=99).
     #[inline]
     pub const fn is_reserved(self) -> bool {
         self.0 < Self::HARD_FIRST.0
     }
 
-    /// Is this an etag of a hard real-time channel?
+    /// Returns whether this is an etag of a hard real-time channel.
     #[inline]
     pub const fn is_hard(self) -> bool {
         self.0 >= Self::HARD_FIRST.0 && self.0 <= Self::HARD_LAST.0

@@ -41,7 +41,7 @@ enum State {
     Asking { stage: Stage, until: Instant, tries: u8 },
     /// Another UID is being searched.
     Waiting { until: Instant },
-    /// Is the id free?
+    /// Whether the id is free.
     Claiming { tx_node: TxNode, claim_at: Instant, claims: u8, until: Instant },
     /// The id is ours.
     Configured { tx_node: TxNode, since: Instant },

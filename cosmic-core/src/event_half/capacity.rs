@@ -17,8 +17,8 @@ use core::task::{Poll, Waker};
 /// How much a node has room for, as one type: what [`capacity!`](crate::capacity) names, mostly for a plan.
 ///
 /// A runtime that is generic over it need not know the numbers. Its functions are those of the types that it
-/// names.
-pub trait Capacity: 'static {
+/// names. It is sealed: that its functions do no more than the core's own is what lets a runtime lock around them.
+pub trait Capacity: sealed::Sealed + 'static {
     /// The HRT message buffers.
     type Buffers: Send + 'static;
     /// The time-triggered half.
@@ -122,6 +122,21 @@ impl<
         hard: &mut impl HardAccess<Self::Buffers>,
     ) -> Option<Input> {
         outcome(mailbox, what, at, hard)
+    }
+}
+
+mod sealed {
+    pub trait Sealed {}
+
+    impl<
+        const SLOTS: usize,
+        const CHANNELS: usize,
+        const SUBSCRIPTIONS: usize,
+        const EVENTS: usize,
+        const SOFT: usize,
+        const NRT: usize,
+    > Sealed for super::Sizes<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT>
+    {
     }
 }
 

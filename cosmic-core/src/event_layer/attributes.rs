@@ -10,7 +10,7 @@ use crate::time::Duration;
 pub struct HardAttributes {
     /// The span between two slots.
     pub period: Duration,
-    /// Does every slot carry an event? If not, the channel is sporadic, and an empty slot is no error.
+    /// Whether every slot carries an event. If not, the channel is sporadic, and an empty slot is no error.
     pub periodic: bool,
     /// How many omission faults a slot tolerates (k).
     pub omission_degree: u8,

@@ -223,7 +223,7 @@ impl Filter {
         self.with_range(attribute, value, value)
     }
 
-    /// Does the subscriber want it? One AND and one compare, and a look at one value if there is a range.
+    /// Returns whether the subscriber wants it. One AND and one compare, and a look at one value if there is a range.
     #[inline]
     pub fn matches(&self, context: &Context) -> bool {
         context.presence & self.mask == self.expected

@@ -291,7 +291,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         accepted
     }
 
-    /// Does anybody subscribe to the channel here?
+    /// Returns whether anybody subscribes to the channel here.
     #[inline]
     pub(crate) fn is_subscribed(&self, tag: Tag) -> bool {
         let entry = self.channels.get(usize::from(tag.0));
@@ -372,7 +372,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         self.channels.get(usize::from(subscriber.channel))?.as_ref()?.etag
     }
 
-    /// Does this node publish on the channel, and does it subscribe to it? O(CHANNELS).
+    /// Returns whether this node publishes on the channel, and whether it subscribes to it. O(CHANNELS).
     pub(crate) fn roles(&self, subject: Subject) -> (bool, bool) {
         let entry = self.find(subject).and_then(|at| self.channels.get(at)?.as_ref());
         entry.map_or((false, false), |entry| (entry.announcements > 0, entry.subscriptions > 0))

@@ -45,7 +45,7 @@ impl<const LEN: usize> MessagePublisher<LEN> {
         self.fragmenter.start(content)
     }
 
-    /// Has everything been sent?
+    /// Returns whether everything has been sent.
     pub fn is_idle(&self) -> bool {
         self.fragmenter.is_idle()
     }

@@ -55,7 +55,7 @@ impl<const N: usize> Interests<N> {
         entries.filter(of_side).map(|interest| (interest.tx_node, interest.class, interest.layout))
     }
 
-    /// Does any node subscribe to the channel `etag`?
+    /// Returns whether any node subscribes to the channel `etag`.
     pub fn is_wanted(&self, etag: Etag) -> bool {
         self.nodes(etag, Side::Subscriber).next().is_some()
     }

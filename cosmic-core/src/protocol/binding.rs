@@ -122,7 +122,7 @@ impl SupplyEtag {
         self.answer
     }
 
-    /// Is this one half of an answer about `subject`?
+    /// Returns whether this is one half of an answer about `subject`.
     pub fn is_about(&self, subject: Subject) -> bool {
         self.subject_half == half_of(subject, self.half)
     }

@@ -121,7 +121,7 @@ impl Prefix {
         self.stage
     }
 
-    /// Does `uid` begin with these nibbles?
+    /// Returns whether `uid` begins with these nibbles.
     pub const fn begins(&self, uid: NodeUid) -> bool {
         (uid.get() ^ self.bits) >> self.stage.shift() == 0
     }

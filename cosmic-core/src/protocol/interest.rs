@@ -82,7 +82,7 @@ impl Lease {
         Duration::from_ticks(LEASE_STEP.as_ticks().saturating_mul(self.0 as u64))
     }
 
-    /// Does it end the interest?
+    /// Returns whether it ends the interest.
     pub const fn is_withdrawn(self) -> bool {
         self.0 == 0
     }
@@ -99,7 +99,7 @@ pub struct Interest {
     pub tx_node: TxNode,
     /// The channel.
     pub etag: Etag,
-    /// Does it publish or subscribe?
+    /// Whether it publishes or subscribes.
     pub side: Side,
     /// The class under which it uses the channel.
     pub class: Class,

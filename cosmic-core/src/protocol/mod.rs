@@ -113,7 +113,7 @@ impl ControlMessage {
     }
 }
 
-/// Does the TxNode field of this frame name its sender?
+/// Returns whether the TxNode field of this frame names its sender.
 ///
 /// It does in all frames but those of configuration (there it holds a part of a UID, or the id that is
 /// assigned) and those that the broker sends as [`TxNode::BROKER`].

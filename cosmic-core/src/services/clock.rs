@@ -56,12 +56,12 @@ impl ClockService {
         self.sync.clock()
     }
 
-    /// Must the node keep silent, because its calendar is not that of the segment?
+    /// Returns whether the node must keep silent, because its calendar is not that of the segment.
     pub const fn is_inhibited(&self) -> bool {
         self.inhibited
     }
 
-    /// Is this node the master?
+    /// Returns whether this node is the master.
     pub const fn is_master(&self) -> bool {
         self.sync.is_master()
     }

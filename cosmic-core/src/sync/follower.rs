@@ -249,7 +249,7 @@ impl ClockSync {
     }
 }
 
-/// Does the sender of the first come before that of the second in the succession?
+/// Returns whether the sender of the first comes before that of the second in the succession.
 fn precedes(first: &Pending, second: &Pending) -> bool {
     (first.message.rank, first.from) < (second.message.rank, second.from)
 }

@@ -46,7 +46,7 @@ impl Mastership {
         self.predecessor
     }
 
-    /// Is it time that the handover ends? Then the master is its own predecessor.
+    /// Returns whether it is time that the handover ends. Then the master is its own predecessor.
     pub(super) fn end_handover(&mut self, now: Instant, own: TxNode) -> bool {
         let ends = self.handover_ends.is_some_and(|at| now >= at);
         if ends {
@@ -56,7 +56,7 @@ impl Mastership {
         ends
     }
 
-    /// Has no sync frame been sent for this long? Then nobody hears this node.
+    /// Returns whether no sync frame has been sent for this long. Then nobody hears this node.
     pub(super) fn is_unheard(&self, now: Instant, time_out: Duration) -> bool {
         self.unheard_since.is_some_and(|since| now >= since + time_out)
     }

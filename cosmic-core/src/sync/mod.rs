@@ -173,7 +173,7 @@ impl ClockSync {
         self.clock
     }
 
-    /// Is this node the master?
+    /// Returns whether this node is the master.
     pub const fn is_master(&self) -> bool {
         matches!(self.role, Standing::Master(_))
     }
@@ -187,7 +187,7 @@ impl ClockSync {
         }
     }
 
-    /// Has the master that this node follows another calendar? Then the node must be silent in hard
+    /// Returns whether the master that this node follows has another calendar. Then the node must be silent in hard
     /// real-time slots.
     pub const fn has_calendar_mismatch(&self) -> bool {
         self.calendar_mismatch

@@ -135,8 +135,8 @@ impl GlobalClock {
         Duration::from_ticks(error.as_ticks().saturating_add(grown.unsigned_abs()))
     }
 
-    /// Is this clock within `bound` of global time at all local instants from `from` until `until`? O(1), no
-    /// division.
+    /// Returns whether this clock is within `bound` of global time at all local instants from `from` until
+    /// `until`. O(1), no division.
     #[inline]
     pub(crate) fn is_accurate(&self, from: Instant, until: Instant, bound: Duration) -> bool {
         // The accuracy gets worse with the distance from the reference, so it is worst at one of the ends.
@@ -154,7 +154,7 @@ impl GlobalClock {
         Some(Rate::from_fraction(rate_error.fraction() as i64 + rate_change.over(span) as i64))
     }
 
-    /// Is anything known of global time at the local instant `now`? How much, tells
+    /// Returns whether anything is known of global time at the local instant `now`. How much, tells
     /// [`GlobalClock::accuracy`].
     #[inline]
     pub const fn is_synchronised(&self, now: Instant) -> bool {

@@ -13,9 +13,6 @@
 mod clock;
 pub(crate) mod rate;
 
-// The former path, which goes when nothing names it any more.
-#[doc(hidden)]
-pub use crate::sync;
 pub use clock::{GlobalClock, Uncertainty};
 pub use rate::{Rate, RateChange};
 

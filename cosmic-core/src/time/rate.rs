@@ -87,7 +87,7 @@ impl RateChange {
         Self(if units < Self::LIMIT.0 as u64 { units as u32 } else { Self::LIMIT.0 })
     }
 
-    /// Is the rate constant?
+    /// Returns whether the rate is constant.
     #[inline]
     pub const fn is_zero(self) -> bool {
         self.0 == 0

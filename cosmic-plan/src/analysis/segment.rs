@@ -23,7 +23,7 @@ use crate::plan::found::{Plan, PlannedSlot};
 use cosmic_core::can::{ERROR_RECOVERY_BITS, LONGEST_FRAME_BITS, Priority};
 use cosmic_core::time::Duration;
 
-/// Does a promise hold?
+/// Whether a promise holds.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Verdict {
     /// The bound is within the deadline.
@@ -46,7 +46,7 @@ impl Verdict {
         }
     }
 
-    /// Is the promise kept?
+    /// Whether the promise is kept.
     pub fn holds(self) -> bool {
         matches!(self, Self::Meets | Self::NoDeadline)
     }
@@ -78,7 +78,7 @@ pub struct Proof {
     pub bound: Option<Duration>,
     /// What it must not exceed.
     pub deadline: Option<Duration>,
-    /// Does it?
+    /// Whether it does.
     pub verdict: Verdict,
     /// How the bound comes about, in one sentence.
     pub how: &'static str,
@@ -133,7 +133,7 @@ pub struct Assessment {
 }
 
 impl Assessment {
-    /// Does every promise hold?
+    /// Returns whether every promise holds.
     pub fn holds(&self) -> bool {
         let channels = self.channels.iter().map(|channel| &channel.proof);
         channels.chain(&self.foreign).all(|proof| proof.verdict.holds())

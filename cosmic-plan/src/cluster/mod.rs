@@ -193,7 +193,7 @@ pub struct Foreign {
     pub name: String,
     /// Its identifier.
     pub id: u32,
-    /// Has it an identifier of 29 bits?
+    /// Whether it has an identifier of 29 bits.
     pub extended: bool,
     /// Bytes of data.
     pub length: u8,

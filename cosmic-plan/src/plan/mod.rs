@@ -90,7 +90,7 @@ pub fn plan(cluster: &Cluster, effort: &Effort<'_>) -> Result<Plan, NoPlan> {
     }
 }
 
-/// Is there a calendar? As [`plan`], without the reason if there is none.
+/// Returns whether there is a calendar. As [`plan`], without the reason if there is none.
 pub fn is_plannable(cluster: &Cluster, effort: &Effort<'_>) -> bool {
     let layout = Layout::of(cluster);
     if matches!(search(&layout.request, effort), exact::Answer::Placed(_)) {

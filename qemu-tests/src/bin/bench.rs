@@ -159,7 +159,7 @@ fn store(mailbox: Mailbox, frame: &Frame) {
     }
 }
 
-/// Has a frame with [`CONTENT`] been stored since the last call?
+/// Returns whether a frame with [`CONTENT`] has been stored since the last call.
 fn take_stored(mailbox: Mailbox) -> bool {
     // SAFETY: as in `store`.
     let stored = unsafe { core::mem::take(&mut *addr_of_mut!(MAILBOXES[mailbox as usize])) };

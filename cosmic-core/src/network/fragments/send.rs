@@ -58,7 +58,7 @@ impl<const LEN: usize> Fragmenter<LEN> {
         }
     }
 
-    /// Can a message be accepted?
+    /// Returns whether a message can be accepted.
     pub fn is_idle(&self) -> bool {
         self.state == State::Idle
     }

@@ -287,7 +287,7 @@ impl<const N: usize> HrtBuffers<N> {
         self.inhibited = inhibited;
     }
 
-    /// Does the node keep silent because its calendar is not that of the segment?
+    /// Returns whether the node keeps silent because its calendar is not that of the segment.
     pub const fn is_inhibited(&self) -> bool {
         self.inhibited
     }

@@ -84,7 +84,7 @@ struct Next {
     at: u8,
     buffer: u8,
     stage: Stage,
-    /// Is the clock within bound from now until `latest`?
+    /// Whether the clock is within bound from now until `latest`.
     accurate: bool,
     /// When it is due, in local time.
     wake: Instant,

@@ -162,7 +162,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         self.soft.len() + self.non_real_time.len()
     }
 
-    /// Has everything been sent?
+    /// Returns whether everything has been sent.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -242,17 +242,17 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         self.non_real_time.push(key, entry, event.tag.reserve()).map(|()| None).map_err(|_| self.refuse())
     }
 
-    /// Is there room for another non real-time event?
+    /// Returns whether there is room for another non real-time event.
     pub fn has_room_for_non_real_time(&self) -> bool {
         self.non_real_time.len() + RESERVED < NRT
     }
 
-    /// Is there room for another urgent frame of the services?
+    /// Returns whether there is room for another urgent frame of the services.
     pub fn has_room_for_urgent(&self) -> bool {
         self.soft.len() < SOFT
     }
 
-    /// Is there room for another frame of the services in both queues?
+    /// Returns whether there is room for another frame of the services in both queues.
     pub fn has_room_for_services(&self) -> bool {
         self.soft.len() < SOFT && self.non_real_time.len() < NRT
     }

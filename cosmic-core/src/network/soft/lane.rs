@@ -171,7 +171,7 @@ impl<const N: usize> Lane<N> {
         self.queue.len() + usize::from(!matches!(self.content, InMailbox::Empty))
     }
 
-    /// Is the mailbox free and nothing before a new event?
+    /// Returns whether the mailbox is free and nothing goes before a new event.
     #[inline]
     pub(super) fn is_idle(&self) -> bool {
         self.queue.is_empty() && matches!(self.content, InMailbox::Empty)
@@ -203,7 +203,7 @@ impl<const N: usize> Lane<N> {
         Some(entry.outgoing)
     }
 
-    /// Does an event wait that goes before the one in the mailbox?
+    /// Returns whether an event waits that goes before the one in the mailbox.
     pub(super) fn is_overtaken(&self) -> bool {
         match (&self.content, self.queue.first_key()) {
             (InMailbox::Loaded(loaded), Some(first)) => first < loaded.key,
@@ -316,7 +316,7 @@ impl<const N: usize> Lane<N> {
         departure
     }
 
-    /// Is anything to be reported or discarded by now?
+    /// Returns whether anything is to be reported or discarded by now.
     pub(super) fn needs_attention(&self, now: Instant) -> bool {
         now >= self.next_attention()
     }

@@ -47,7 +47,7 @@ impl<T, const N: usize> Queue<T, N> {
         self.len
     }
 
-    /// Does none wait?
+    /// Returns whether none waits.
     #[inline]
     pub const fn is_empty(&self) -> bool {
         self.len == 0

@@ -470,7 +470,7 @@ fn name_of(name: &Option<At<super::values::Name>>) -> &str {
     name.as_ref().map_or("", |at| &at.value.0)
 }
 
-/// Are the first eight bits those of hard real-time, the priority 0?
+/// Returns whether the first eight bits are those of hard real-time, the priority 0.
 fn beats_hard(id: u32, extended: bool) -> bool {
     if extended { id >> 21 == 0 } else { id >> 3 == 0 }
 }

@@ -107,7 +107,7 @@ impl Rcc {
         u32::try_from(u64::from(source) * u64::from(n) / u64::from(m) / u64::from(p)).unwrap_or(0)
     }
 
-    /// Has the peripheral at this address its clock? Those without an enable bit always have.
+    /// Returns whether the peripheral at this address has its clock. Those without an enable bit always have.
     pub(crate) fn is_clocked(&self, address: u32) -> bool {
         match gate(address) {
             Some((bus, bit)) => self.words[register::AHB1ENR + bus] >> bit & 1 != 0,

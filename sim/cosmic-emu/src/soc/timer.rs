@@ -86,7 +86,7 @@ impl Timer {
         }
     }
 
-    /// Is the interrupt line asserted? [`Timer::advance`] comes first.
+    /// Returns whether the interrupt line is asserted. [`Timer::advance`] comes first.
     pub(crate) const fn interrupt(&self) -> bool {
         self.sr & self.dier & DIER_INTERRUPTS != 0
     }

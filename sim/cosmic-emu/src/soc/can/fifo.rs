@@ -60,7 +60,7 @@ impl Fifo {
         self.messages.front().map_or(0, |message| message[index % 4])
     }
 
-    /// Is the interrupt line asserted? `enabled` has the bits message pending, full, overrun, from 0 on.
+    /// Returns whether the interrupt line is asserted. `enabled` has the bits message pending, full, overrun, from 0 on.
     pub(super) fn interrupt(&self, enabled: u32) -> bool {
         let causes =
             u32::from(!self.messages.is_empty()) | u32::from(self.full) << 1 | u32::from(self.overrun) << 2;

@@ -173,7 +173,7 @@ impl BxCan {
         std::mem::take(&mut self.commands)
     }
 
-    /// Must the bus carry out a command before this node goes on? A withdrawal reports back at once.
+    /// Returns whether the bus must carry out a command before this node goes on. A withdrawal reports back at once.
     pub(crate) fn waits_for_bus(&self) -> bool {
         self.commands.iter().any(|(_, command)| !matches!(command, Command::Load { .. }))
     }
