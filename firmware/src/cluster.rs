@@ -9,7 +9,7 @@
 
 use cosmic_core::Subject;
 use cosmic_core::can::Etag;
-use cosmic_core::event_layer::Channel;
+use cosmic_core::event_layer::{Channel, Content};
 
 use plan::channels;
 

@@ -8,6 +8,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Result, bail};
 
 use crate::bench;
+use crate::bit_rates;
 use crate::demo;
 use crate::fuzz;
 use crate::images;
@@ -39,6 +40,7 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
     }
     tally.add(suite::emulated(workspace, &way));
     tally.add(short_demo(workspace));
+    tally.add(bit_rates::test(workspace));
     Ok(tally.conclude())
 }
 

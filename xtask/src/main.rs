@@ -4,6 +4,7 @@
 
 mod apt;
 mod bench;
+mod bit_rates;
 mod build;
 mod ci;
 mod demo;

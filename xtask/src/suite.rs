@@ -7,6 +7,7 @@ use std::{env, fs};
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 
+use crate::bit_rates;
 use crate::demo;
 use crate::fuzz;
 use crate::images::{self, PROFILE};
@@ -37,6 +38,8 @@ enum Part {
     Emulated,
     /// The core and RTIC in QEMU.
     Qemu,
+    /// The firmware in the emulated cluster at 50, 125, 250 and 500 kbit/s.
+    BitRates,
 }
 
 /// Runs the tests that are asked for.
@@ -56,6 +59,9 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
     if parts.contains(&Part::Qemu) {
         let way = setup::prepare(&[Tool::Qemu])?;
         tally.add(qemu::test(workspace, &way));
+    }
+    if parts.contains(&Part::BitRates) {
+        tally.add(bit_rates::test(workspace));
     }
     Ok(tally.conclude())
 }
