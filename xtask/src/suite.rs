@@ -111,8 +111,36 @@ fn build_and_test(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Resu
     let mut test = workspace.cargo();
     test.current_dir(folder).args(["test", "--no-fail-fast", "--release"]);
     test.env("CARGO_TARGET_DIR", workspace.target_dir());
-    test.env(IMAGES, way.target_dir(workspace).join(TRIPLE).join(PROFILE));
-    cargo_test(&mut test)
+    let images = way.target_dir(workspace).join(TRIPLE).join(PROFILE);
+    test.env(IMAGES, &images);
+    let mut tally = cargo_test(&mut test)?;
+    let mut program = workspace.cargo();
+    program.current_dir(folder).args(["run", "--release"]);
+    program.env("CARGO_TARGET_DIR", workspace.target_dir()).env(IMAGES, images);
+    tally.add(as_the_tutorial_prints(workspace, &mut program));
+    Ok(tally)
+}
+
+/// The log at the end of the tutorial is what the robot says, but for the instants: these follow from the
+/// instructions of the images.
+fn as_the_tutorial_prints(workspace: &Workspace, program: &mut process::Command) -> Result<Tally> {
+    let tutorial = workspace.root().join("docs/tutorial.md");
+    let tutorial =
+        fs::read_to_string(&tutorial).with_context(|| format!("reading {}", tutorial.display()))?;
+    let promised: Vec<&str> = tutorial.lines().filter_map(said).collect();
+    let mut missing = promised.clone();
+    run::lines(program, |line| missing.retain(|promise| said(line) != Some(*promise)))?;
+    for promise in &missing {
+        eprintln!("error: docs/tutorial.md prints `{promise}`, which the robot does not say");
+    }
+    let holds = !promised.is_empty() && missing.is_empty();
+    Ok(Tally { passed: usize::from(holds), failed: usize::from(!holds) })
+}
+
+/// What a node of the robot logs, without the instant.
+fn said(line: &str) -> Option<&str> {
+    let (at, text) = line.split_once(" µs ")?;
+    (at.trim().parse::<u64>().is_ok() && text.contains(": INFO ")).then_some(text)
 }
 
 /// Runs `cargo test` and counts its results.
@@ -157,6 +185,14 @@ mod tests {
         assert_eq!(result_line(bad), Some((1, 2)));
         assert_eq!(result_line("running 7 tests"), None);
         assert_eq!(result_line("test result: strange"), None);
+    }
+
+    #[test]
+    fn what_a_node_says_is_its_log_line_without_the_instant() {
+        let line = " 1508000 µs arm: INFO 100 set points";
+        assert_eq!(said(line), Some("arm: INFO 100 set points"));
+        assert_eq!(said("joint_angle  954 µs  arm: INFO"), None);
+        assert_eq!(said("period 5 ms down to 220 µs"), None);
     }
 
     #[test]
