@@ -17,7 +17,7 @@
 
 use cosmic_core::can::Etag;
 use cosmic_core::event_half::Delivered;
-use cosmic_core::event_layer::{Channel, Content, Exception};
+use cosmic_core::event_layer::{Channel, Exception};
 use cosmic_core::time::Instant;
 use rtt_target::{ChannelMode, UpChannel};
 
