@@ -12,8 +12,9 @@
 //! the SPI transfer: 320 bit times. [`Controller::next_wakeup`] says when.
 //!
 //! # Limits
-//! * Tested against a model of the chip's registers written from the data sheet DS20001801, over a simulated
-//!   bus. It was **not tried on hardware**; the errata of the chip were not studied.
+//! * Tested against a model of the chip's registers, over a simulated bus. Driver and model follow the data sheet
+//!   DS20001801 as its author remembers it; they were not compared with a copy line by line. It was **not tried
+//!   on hardware**; the errata of the chip were not studied.
 //! * Time-stamps are taken by the host when it is interrupted. The transfer of a frame over SPI follows after
 //!   that, but two frames in one interrupt share a stamp: clock synchronisation is less accurate than with a
 //!   controller in the processor.

@@ -1,5 +1,5 @@
-//! A model of the MCP2515, written from the data sheet DS20001801: what its SPI instructions do to its registers,
-//! and what a station of the simulated bus does to them. It knows nothing of the driver.
+//! A model of the MCP2515 (data sheet DS20001801): what its SPI instructions do to its registers, and what a station
+//! of the simulated bus does to them. It knows nothing of the driver.
 
 use cosmic_bus::{Bus, ErrorLevel, Event, EventKind, FaultModel, StationId, VirtualInstant, WireFrame};
 use cosmic_core::can::BitRate;
