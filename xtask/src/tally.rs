@@ -14,6 +14,11 @@ pub(crate) struct Tally {
 }
 
 impl Tally {
+    /// Of one test.
+    pub(crate) fn one(passed: bool) -> Self {
+        Self { passed: usize::from(passed), failed: usize::from(!passed) }
+    }
+
     /// Adds the outcome of a step; an error counts as one failure, and is shown.
     pub(crate) fn add(&mut self, outcome: Result<Self>) {
         match outcome {
