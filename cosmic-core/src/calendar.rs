@@ -80,10 +80,13 @@ impl Segment {
 
     /// The span between a deadline and the earliest ready instant of the next slot: 2ε + release jitter.
     pub const fn gap(&self) -> Duration {
-        Duration::from_ticks(2 * self.accuracy.as_ticks() + self.release_jitter.as_ticks())
+        Duration::from_ticks(
+            self.accuracy.as_ticks().saturating_mul(2).saturating_add(self.release_jitter.as_ticks()),
+        )
     }
 
     /// The instants of a slot with a frame of `len` bytes and omission degree `k`.
+    #[expect(clippy::arithmetic_side_effects, reason = "256 frames of the slowest rate are a few seconds")]
     pub const fn slot_times(&self, len: u8, omission_degree: u8) -> SlotTimes {
         let frame = self.bit_rate.longest_frame(len as usize).as_ticks();
         let recovery = self.bit_rate.bits(ERROR_RECOVERY_BITS).as_ticks();
@@ -92,7 +95,7 @@ impl Segment {
         SlotTimes {
             latest_start: Duration::from_ticks(latest_start),
             deadline: Duration::from_ticks(deadline),
-            delivery: Duration::from_ticks(deadline + self.gap().as_ticks()),
+            delivery: Duration::from_ticks(deadline.saturating_add(self.gap().as_ticks())),
         }
     }
 }
@@ -168,6 +171,7 @@ impl Calendar {
     ///
     /// # Errors
     /// The first thing that is wrong with the calendar.
+    #[expect(clippy::arithmetic_side_effects, reason = "within the length, by the loop")]
     pub const fn new(
         segment: Segment,
         cycle: Duration,
@@ -257,6 +261,7 @@ impl Calendar {
 
 /// The instants of a slot, or of the pool that it belongs to.
 #[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
+#[expect(clippy::arithmetic_side_effects, reason = "the longest frame of all is at least this one")]
 const fn window(segment: &Segment, slots: &[Slot], slot: &Slot) -> SlotTimes {
     let mut longest = slot.len;
     let mut others = 0;
@@ -278,11 +283,12 @@ const fn window(segment: &Segment, slots: &[Slot], slot: &Slot) -> SlotTimes {
     SlotTimes {
         latest_start: alone.latest_start,
         deadline: Duration::from_ticks(alone.deadline.as_ticks() + others - spared),
-        delivery: Duration::from_ticks(alone.delivery.as_ticks() + others - spared),
+        delivery: Duration::from_ticks((alone.delivery.as_ticks() - spared).saturating_add(others)),
     }
 }
 
 #[allow(clippy::indexing_slicing, reason = "the caller and the loop stay within the length")]
+#[expect(clippy::arithmetic_side_effects, reason = "no divisor is zero, and `other` stays below the length")]
 const fn check_slot(
     segment: &Segment,
     cycle: Duration,
@@ -322,6 +328,10 @@ const fn check_slot(
 
 /// Returns whether some occurrence of `other` begins within one of the windows of `slot`, and not as part of
 /// its pool.
+#[expect(
+    clippy::arithmetic_side_effects,
+    reason = "periods were checked not to be zero, and to be within a cycle"
+)]
 const fn overlaps(slot: &Slot, window: u64, other: &Slot) -> bool {
     if slot.is_ready_with(other) {
         return slot.publisher.get() == other.publisher.get()
@@ -333,6 +343,7 @@ const fn overlaps(slot: &Slot, window: u64, other: &Slot) -> bool {
     behind < window
 }
 
+#[expect(clippy::arithmetic_side_effects, reason = "`b` is not zero")]
 const fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
     if a == b {
         return a;
@@ -344,6 +355,7 @@ const fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
 }
 
 #[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
+#[expect(clippy::arithmetic_side_effects, reason = "within the length, by the loop")]
 const fn digest(segment: &Segment, cycle: Duration, slots: &[Slot]) -> u32 {
     const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
     let mut digest = CRC.digest();
@@ -395,6 +407,16 @@ mod tests {
         assert_eq!(times.latest_start, Duration::from_micros(160 + 31));
         assert_eq!(times.deadline, Duration::from_micros(191 + 160 + 2 * 191));
         assert_eq!(times.delivery, times.deadline + Duration::from_micros(20));
+    }
+
+    #[test]
+    fn a_gap_that_does_not_fit_does_not_wrap_to_none() {
+        const SLOTS: &[Slot] = &[slot(100, 10, 0)];
+        for accuracy in [u64::MAX, 1 << 63, (1 << 63) + 1] {
+            let segment = Segment { accuracy: Duration::from_ticks(accuracy), ..SEGMENT };
+            let calendar = Calendar::new(segment, Duration::from_millis(10), SLOTS);
+            assert_eq!(calendar, Err(CalendarError::Window(0)));
+        }
     }
 
     #[test]

@@ -13,6 +13,7 @@ impl Jitter {
     }
 
     /// A span that is less than `limit`, or zero.
+    #[expect(clippy::arithmetic_side_effects, reason = "64 bits by 64 bits fit 128")]
     pub(crate) fn below(&mut self, limit: Duration) -> Duration {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);

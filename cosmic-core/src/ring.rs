@@ -15,12 +15,14 @@ impl<T: Copy, const N: usize> Ring<T, N> {
     }
 
     /// How many more values fit.
+    #[expect(clippy::arithmetic_side_effects, reason = "never more than `N`")]
     pub(crate) const fn room(&self) -> usize {
         N - self.len
     }
 
     /// Appends `value`; `false` if there is no room.
     #[must_use]
+    #[expect(clippy::arithmetic_side_effects, reason = "positions below `N`, which is not zero")]
     pub(crate) fn push(&mut self, value: T) -> bool {
         if self.len == N {
             return false;
@@ -33,6 +35,7 @@ impl<T: Copy, const N: usize> Ring<T, N> {
     }
 
     /// Removes the oldest value.
+    #[expect(clippy::arithmetic_side_effects, reason = "positions below `N`, and it was not empty")]
     pub(crate) fn pop(&mut self) -> Option<T> {
         let value = self.slots.get_mut(self.first)?.take()?;
         self.first = (self.first + 1) % N;

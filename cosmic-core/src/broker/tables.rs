@@ -317,6 +317,7 @@ impl<const N: usize> Subjects<N> {
     }
 
     /// The pair that comes after `before` in the table, or the first one behind the last. O(`N`).
+    #[expect(clippy::arithmetic_side_effects, reason = "a position is below 2^14")]
     pub(super) fn after(&self, before: Option<Etag>) -> Option<(Subject, Etag)> {
         let from = before.map_or(0, |etag| Self::index(etag) + 1);
         let (at, subject) = (from..N).chain(0..from.min(N)).find_map(|at| Some((at, self.0.name(at)?)))?;
@@ -351,6 +352,7 @@ impl<const N: usize> Subjects<N> {
         self.0.release(subject)
     }
 
+    #[expect(clippy::arithmetic_side_effects, reason = "a bound etag is at most the last one")]
     fn index(etag: Etag) -> usize {
         usize::from(Etag::BOUND_LAST.get() - etag.get())
     }

@@ -160,6 +160,7 @@ impl<const BANKS: usize> FilterBanks<BANKS> {
     ///
     /// # Errors
     /// See [`FilterBanksError`].
+    #[expect(clippy::arithmetic_side_effects, reason = "two at most")]
     pub fn plan<const WANTED: usize>(wanted: &[Wanted]) -> Result<Self, FilterBanksError> {
         if wanted.len() > WANTED {
             return Err(FilterBanksError::TooManyWanted);
@@ -211,6 +212,7 @@ impl Group {
     }
 
     /// `None` if they go to different FIFOs.
+    #[expect(clippy::arithmetic_side_effects, reason = "one for each wish")]
     fn joined(&self, other: &Self) -> Option<Self> {
         if self.fifo != other.fifo {
             return None;
@@ -230,6 +232,7 @@ impl Group {
     }
 
     /// How many identifiers the mask around them accepts.
+    #[expect(clippy::arithmetic_side_effects, reason = "a mask has no bits but those of an identifier")]
     const fn covered(&self) -> i64 {
         1 << (ID_BITS.count_ones() - self.mask.count_ones())
     }
@@ -284,6 +287,7 @@ impl<const WANTED: usize> Partition<WANTED> {
 
     /// The two groups that accept the fewest additional identifiers when they are joined; of several, the
     /// most alike.
+    #[expect(clippy::arithmetic_side_effects, reason = "counts of identifiers, below 2^32")]
     fn cheapest_join(&self) -> Option<(usize, usize, Group, i64)> {
         let mut cheapest: Option<(usize, usize, Group, i64)> = None;
         for (number, group) in self.iter_groups() {
@@ -315,6 +319,7 @@ impl<const WANTED: usize> Partition<WANTED> {
         }
     }
 
+    #[expect(clippy::arithmetic_side_effects, reason = "counts of identifiers, below 2^32")]
     fn move_member(&mut self, place: usize, banks: usize) -> bool {
         let Some(&Some((wish, from))) = self.members.get(place) else { return false };
         let Some(&Some(old)) = self.groups.get(from) else { return false };
@@ -361,6 +366,10 @@ impl<const WANTED: usize> Partition<WANTED> {
         }
     }
 
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "counts of identifiers, below 2^32 for each of the wishes"
+    )]
     fn banks<const BANKS: usize>(&self) -> FilterBanks<BANKS> {
         let of = |fifo| self.iter_groups().filter(move |(_, group)| group.fifo == fifo);
         let mut banks = [None; BANKS];

@@ -55,6 +55,7 @@ impl Payload {
 
     /// A copy of `bytes`; `None` if there are more than eight.
     #[allow(clippy::indexing_slicing, reason = "at most eight, which was asked")]
+    #[expect(clippy::arithmetic_side_effects, reason = "at most eight, which was asked")]
     pub const fn new(bytes: &[u8]) -> Option<Self> {
         if bytes.len() > Self::MAX_LEN {
             return None;
@@ -77,6 +78,7 @@ impl Payload {
 
     /// The first `len` (at most eight) of the bytes, as a controller's data registers give them.
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "below eight bytes, so below 64 bits")]
     pub const fn truncated(bytes: [u8; Self::MAX_LEN], len: usize) -> Self {
         let len = if len > Self::MAX_LEN { Self::MAX_LEN } else { len };
         let kept = u64::from_le_bytes(bytes);

@@ -14,6 +14,7 @@ pub const LONGEST_FRAME_BITS: u32 = longest_frame_bits(super::Payload::MAX_LEN);
 pub const ERROR_RECOVERY_BITS: u32 = 31;
 
 /// Length in bits of the longest frame with `len` bytes of data, inter-frame space included.
+#[expect(clippy::arithmetic_side_effects, reason = "a length is at most eight")]
 pub const fn longest_frame_bits(len: usize) -> u32 {
     80 + 10 * len as u32
 }
@@ -33,6 +34,7 @@ impl BitRate {
     pub const MIN: Self = Self(10_000);
 
     /// `None` outside `MIN..=MAX`, or if the bit time is no whole number of nanoseconds.
+    #[expect(clippy::arithmetic_side_effects, reason = "not zero: it is at least the slowest rate")]
     pub const fn new(bits_per_second: u32) -> Option<Self> {
         if bits_per_second < Self::MIN.0
             || bits_per_second > Self::MAX.0
@@ -54,6 +56,10 @@ impl BitRate {
     }
 
     /// The time of `count` bits.
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "a rate is not zero, and the product of 32 bits by 17 fits"
+    )]
     pub const fn bits(self, count: u32) -> Duration {
         Duration::from_ticks(count as u64 * (1_000_000_000 / self.0) as u64)
     }

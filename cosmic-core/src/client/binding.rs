@@ -315,6 +315,7 @@ impl<const N: usize> Binding<N> {
         }
     }
 
+    #[expect(clippy::arithmetic_side_effects, reason = "positions below `N`, which is not zero")]
     fn ask_next(&mut self, now: Instant, tx_node: TxNode) {
         let turn = (0..N).map(|step| (self.turn + step) % N).find(|at| {
             match self.entries.get(*at).copied().flatten().map(|entry| entry.state) {
@@ -345,6 +346,7 @@ impl<const N: usize> Binding<N> {
     }
 
     /// The next frame of an answer to a probe.
+    #[expect(clippy::arithmetic_side_effects, reason = "a position below `N`")]
     fn next_claim(&mut self, now: Instant, tx_node: TxNode) -> Option<Frame> {
         if let Some(second) = self.second_half.take() {
             return Some(second);

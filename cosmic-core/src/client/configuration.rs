@@ -217,6 +217,7 @@ impl Configuration {
         }
     }
 
+    #[expect(clippy::arithmetic_side_effects, reason = "below the most tries; claims are at least one")]
     fn on_time_out(&mut self, now: Instant) {
         match self.state {
             State::Idle { .. } => match self.fixed {

@@ -121,7 +121,7 @@ impl<
         let counts = before.exceptional().into_iter().zip(after.exceptional());
         for (kind, (before, after)) in kinds.into_iter().zip(counts) {
             // A buffer that was attached anew counts from zero.
-            let times = if after >= before { after - before } else { after };
+            let times = after.checked_sub(before).unwrap_or(after);
             self.exceptions.raise_times(Exception { subject, kind, at }, times);
         }
         self.wake_exception_handler();

@@ -45,6 +45,7 @@ impl Importance {
     }
 
     /// The priority of its frames, 251..=255.
+    #[expect(clippy::arithmetic_side_effects, reason = "a rank is at most four")]
     pub const fn priority(self) -> Priority {
         Priority::new(Self::FIRST + self.0)
     }

@@ -88,6 +88,7 @@ impl<C: Content> Channel<C> {
     }
 
     /// The channel, whose events carry [attributes of context](super::Context) before their content.
+    #[expect(clippy::arithmetic_side_effects, reason = "below eight, which was asked")]
     pub const fn with_context(self) -> Self {
         assert!(C::LEN < crate::can::Payload::MAX_LEN, "the context takes at least one byte");
         // Two nodes that disagree on this misread each other just as with another content.

@@ -110,6 +110,7 @@ impl Content for Payload {
 /// The hash of a layout: CRC-32 over the names of the types in their order. Used by
 /// [`content!`](crate::content).
 #[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
+#[expect(clippy::arithmetic_side_effects, reason = "within the length, by the loop")]
 pub const fn layout_of(types: &[&str]) -> LayoutHash {
     const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
     let mut digest = CRC.digest();

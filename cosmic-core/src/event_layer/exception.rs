@@ -109,6 +109,7 @@ impl<const N: usize> Exceptions<N> {
 
     /// Counts an exception that occurred so many times, and keeps it once. O(1). When nobody fetches them,
     /// the newest are not kept; the counts remain right.
+    #[expect(clippy::arithmetic_side_effects, reason = "one at most is kept, of at least one")]
     pub(crate) fn raise_times(&mut self, exception: Exception, times: u32) {
         if times == 0 {
             return;

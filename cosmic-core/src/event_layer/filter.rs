@@ -106,6 +106,10 @@ impl Context {
     /// # Errors
     /// [`NoRoom`]
     #[allow(clippy::indexing_slicing, reason = "a width is at most four")]
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "a width is at most four, and the widths of all are a few bytes"
+    )]
     pub fn with(self, attribute: Attribute, value: u32) -> Result<Self, NoRoom> {
         if value > attribute.max() {
             return Err(NoRoom);
@@ -123,6 +127,10 @@ impl Context {
     }
 
     /// The value of an attribute, if the event carries it.
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "a bit is not zero, and the widths of all are a few bytes"
+    )]
     pub fn get(&self, attribute: Attribute) -> Option<u32> {
         if self.presence & attribute.bit() == 0 {
             return None;
@@ -139,6 +147,7 @@ impl Context {
     }
 
     /// The bytes that it takes in a frame, with the byte of presence.
+    #[expect(clippy::arithmetic_side_effects, reason = "the widths of all are a few bytes")]
     pub fn encoded_len(&self) -> usize {
         1 + len_of(self.presence)
     }
@@ -148,6 +157,7 @@ impl Context {
     /// # Errors
     /// [`NoRoom`] if both together are over eight bytes.
     #[allow(clippy::indexing_slicing, reason = "what does not fit has been refused before")]
+    #[expect(clippy::arithmetic_side_effects, reason = "the widths of all are a few bytes")]
     pub fn prepend(&self, content: &Payload) -> Result<Payload, NoRoom> {
         let mut bytes = [0; Payload::MAX_LEN];
         let len = len_of(self.presence);
@@ -234,6 +244,7 @@ impl Filter {
 }
 
 #[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
+#[expect(clippy::arithmetic_side_effects, reason = "within the length, by the loop")]
 const fn mask_of(attributes: &[Attribute]) -> u8 {
     let mut mask = 0;
     let mut at = 0;

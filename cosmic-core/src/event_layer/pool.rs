@@ -34,6 +34,7 @@ impl Waiting {
 }
 
 /// The deadline as a frame tells it: one step for each priority.
+#[expect(clippy::arithmetic_side_effects, reason = "a step is at most 17 ms")]
 fn deadline(id: Id, received_at: Instant, step: Duration) -> Instant {
     received_at + Duration::from_ticks(u64::from(id.priority().get()) * step.as_ticks())
 }
@@ -59,6 +60,7 @@ pub(super) struct PoolFull;
 
 impl<const N: usize> Pool<N> {
     #[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
+    #[expect(clippy::arithmetic_side_effects, reason = "at most 255 places, which was asserted")]
     pub(super) const fn new() -> Self {
         const { assert!(N > 0 && N <= 255, "a node has room for 1..=255 waiting events") };
         let nothing = Waiting {
@@ -109,6 +111,10 @@ impl List {
 
     /// Adds an event at the end. O(1).
     #[inline]
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "each event has a place, of which there are 255 at most"
+    )]
     pub(super) fn push<const N: usize>(
         &mut self,
         pool: &mut Pool<N>,
@@ -149,6 +155,10 @@ impl List {
         self.push(pool, frame, received_at)
     }
 
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "each event has a place, of which there are 255 at most"
+    )]
     fn insert_at<const N: usize>(
         &mut self,
         pool: &mut Pool<N>,
@@ -168,6 +178,7 @@ impl List {
 
     /// Takes the first event. It may be read where it lies, until the place is used again. O(1).
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "it is not empty")]
     pub(super) fn pop<'p, const N: usize>(&mut self, pool: &'p mut Pool<N>) -> Option<&'p Waiting> {
         if self.len == 0 {
             return None;

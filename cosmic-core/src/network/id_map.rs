@@ -52,6 +52,7 @@ impl<const BITS: u32, const N: usize> IdMap<BITS, N> {
 
     /// What stands under the key. At most [`COMPARES`] compares.
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "constants")]
     pub fn get(&self, key: u32) -> Option<u32> {
         let place = match find(self.buckets.get(Self::left(key))?, key, BITS) {
             None => find(self.buckets.get(Self::right(key))?, key, BITS)?,
@@ -93,12 +94,14 @@ impl<const BITS: u32, const N: usize> IdMap<BITS, N> {
     }
 
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "constants: a map has at least two buckets")]
     fn left(key: u32) -> usize {
         key as usize & (Self::HALF - 1)
     }
 
     /// What tells keys of one left bucket apart has its part in it: the rest of the etag, and the TxNode.
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "the sum is below the number of buckets")]
     fn right(key: u32) -> usize {
         let folded = key ^ key >> Self::HALF.trailing_zeros() ^ key >> ETAG_BITS;
         Self::HALF + (folded as usize & (Self::HALF - 1))

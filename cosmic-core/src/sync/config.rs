@@ -72,13 +72,14 @@ impl SyncConfig {
     /// must hold there and back in the part of a bit before the sample point: one way, three eighths of a
     /// bit at most, with the time quantum by which a receiver meets its edges.
     pub const fn stamp_error_for(bit_rate: BitRate, latency: Duration) -> Duration {
-        Duration::from_ticks(latency.as_ticks() + bit_rate.bits(3).as_ticks() / 8)
+        Duration::from_ticks(latency.as_ticks().saturating_add(bit_rate.bits(3).as_ticks() / 8))
     }
 
     /// Checks the settings; in a constant, at compile time.
     ///
     /// # Errors
     /// The first setting that is refused.
+    #[expect(clippy::arithmetic_side_effects, reason = "drifts are at most [`Rate::LIMIT`], 23 bits")]
     pub const fn check(&self) -> Result<(), SyncConfigError> {
         let period = self.period.as_ticks();
         if period < Self::SHORTEST_PERIOD.as_ticks() || period > Self::LONGEST_PERIOD.as_ticks() {
@@ -98,17 +99,23 @@ impl SyncConfig {
     ///
     /// A master that has taken over keeps the rate of its predecessor, within two drifts of its own; its
     /// own and the other node's oscillator make it four.
+    #[expect(clippy::arithmetic_side_effects, reason = "a drift is at most [`Rate::LIMIT`], 23 bits")]
     pub(super) const fn rate_limit(&self) -> i32 {
         4 * self.max_drift.fraction()
     }
 
     /// The rate correction that a master may keep from the time when it was a follower, either way.
+    #[expect(clippy::arithmetic_side_effects, reason = "a drift is at most [`Rate::LIMIT`], 23 bits")]
     pub(super) const fn master_rate_limit(&self) -> i32 {
         2 * self.max_drift.fraction()
     }
 
     /// A master continues a time scale if it knows its rate this well until the end of the handover.
     /// Four periods of observation suffice.
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "periods and errors of stamps fit 34 bits, which `check` says; rates have 31"
+    )]
     pub(super) const fn takeover_rate_error(&self) -> i32 {
         // A period of zero is refused elsewhere.
         let observed = match ((2 * self.stamp_error.as_ticks()) << 32).checked_div(4 * self.period.as_ticks())
@@ -131,6 +138,7 @@ impl SyncConfig {
     }
 
     /// How much longer than the first one this candidate waits: an eighth of a period for each rank.
+    #[expect(clippy::arithmetic_side_effects, reason = "an eighth of a period for each of few ranks")]
     pub(super) const fn rank_delay(&self, rank: Rank) -> Duration {
         Duration::from_ticks(self.period.as_ticks() / 8 * rank.get() as u64)
     }

@@ -60,6 +60,7 @@ struct Point {
 impl Point {
     /// The rate at a later point, in units of 2⁻³², if it changes by no more than `change`. `None` if the
     /// points are too far apart, or too close, to tell.
+    #[expect(clippy::arithmetic_side_effects, reason = "halves of 31 bits")]
     fn rate_at(&self, later: &Self, change: RateChange) -> Option<Interval> {
         let span = later.at.signed_since(self.at);
         if span <= 0 || span > LONGEST_SPAN {
@@ -74,6 +75,10 @@ impl Point {
 }
 
 /// `rise / run` in units of 2⁻³²; `None` if the rise is more than two seconds.
+#[expect(
+    clippy::arithmetic_side_effects,
+    reason = "31 bits shifted by 32 fit, and the caller's span is not zero"
+)]
 fn slope(rise: i64, run: i64) -> Option<i64> {
     let rise = i32::try_from(rise).ok()?;
     Some((i64::from(rise) << 32) / run)
@@ -131,6 +136,7 @@ impl Estimate {
     ///
     /// # Errors
     /// If the pair contradicts what is known. Then nothing has changed.
+    #[expect(clippy::arithmetic_side_effects, reason = "below `WINDOW`, which is not zero")]
     pub(super) fn observe(
         &mut self,
         received_at: Instant,
@@ -185,6 +191,7 @@ impl Estimate {
 
     /// What is known at a later instant without further observation. `None` if it is earlier, or too
     /// late.
+    #[expect(clippy::arithmetic_side_effects, reason = "far below 63 bits: see `gain`")]
     fn moved_to(&self, at: Instant) -> Option<Self> {
         let span = at.signed_since(self.now.at);
         if !(0..=LONGEST_SPAN).contains(&span) {

@@ -120,6 +120,7 @@ impl GlobalClock {
     /// ε: at the local instant `now` this clock is no further than this from global time.
     /// [`GlobalClock::UNKNOWN`] if it is not synchronised. O(1), no division.
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "rates and their changes are at most 23 and 31 bits")]
     pub const fn accuracy(&self, now: Instant) -> Duration {
         let Uncertainty { error, rate_error, rate_change, .. } = self.uncertainty;
         if !self.is_synchronised(now) {
@@ -145,6 +146,7 @@ impl GlobalClock {
 
     /// The rate at the local instant `now` is wrong by at most this, either way. `None` if the clock is not
     /// synchronised.
+    #[expect(clippy::arithmetic_side_effects, reason = "31 bits in 64")]
     pub const fn rate_error(&self, now: Instant) -> Option<Rate> {
         if !self.is_synchronised(now) {
             return None;

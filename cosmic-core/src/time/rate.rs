@@ -17,6 +17,7 @@ impl Rate {
 
     /// From units of 2⁻³², clamped to ±[`Rate::LIMIT`].
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "a constant of 23 bits")]
     pub const fn from_fraction(fraction: i64) -> Self {
         let limit = Self::LIMIT.0 as i64;
         Self(if fraction > limit {
@@ -41,6 +42,7 @@ impl Rate {
 
     /// The rate seen from the other clock, `1 / (1 + rate) - 1`, to the nearest unit. May exceed the
     /// limit by a thousandth.
+    #[expect(clippy::arithmetic_side_effects, reason = "23 bits shifted by 32, and a denominator near 2^32")]
     pub const fn inverse(self) -> Self {
         let numerator = -((self.0 as i64) << 32);
         let denominator = (1 << 32) + self.0 as i64;
@@ -59,6 +61,7 @@ impl Rate {
 
 /// `nanoseconds` times a fraction in units of 2⁻³², rounded down. No sum overflows below 2³⁰ units.
 #[inline]
+#[expect(clippy::arithmetic_side_effects, reason = "31 bits by 32 bits fit")]
 pub(crate) const fn gain(fraction: i32, nanoseconds: i64) -> i64 {
     let high = (nanoseconds >> 32) * fraction as i64;
     let low = ((nanoseconds as u32 as i64) * fraction as i64) >> 32;
@@ -81,6 +84,7 @@ impl RateChange {
     const LONGEST: u64 = 1 << 36;
 
     /// From parts in 10⁹ per second, rounded up, at most [`RateChange::LIMIT`].
+    #[expect(clippy::arithmetic_side_effects, reason = "32 bits by 13 bits fit")]
     pub const fn from_parts_per_billion(parts: u32) -> Self {
         // 2^32 * 2^30 / 10^18 = 4.612 units for each part in 10^9.
         let units = (parts as u64 * 4_612).div_ceil(1_000);
@@ -95,6 +99,7 @@ impl RateChange {
 
     /// The largest change of the rate in a span, in units of 2⁻³², rounded up.
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "22 bits by 27 bits, less 20")]
     pub(crate) const fn over(self, span: Duration) -> i32 {
         let span = if span.as_ticks() < Self::LONGEST { span.as_ticks() } else { Self::LONGEST };
         // 22 bits times 26 bits, less 20.

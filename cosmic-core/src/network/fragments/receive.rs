@@ -156,6 +156,7 @@ impl<const PLACES: usize, const LEN: usize> Reassembler<PLACES, LEN> {
         })
     }
 
+    #[expect(clippy::arithmetic_side_effects, reason = "lengths of arrays")]
     fn on_first(&mut self, frame: &Frame, header: Header, now: Instant) -> Option<Message<'_>> {
         let place = self.place_of(frame);
         if let Some(progress) = place.and_then(|place| self.places.get(place)?.progress) {
@@ -193,6 +194,7 @@ impl<const PLACES: usize, const LEN: usize> Reassembler<PLACES, LEN> {
         None
     }
 
+    #[expect(clippy::arithmetic_side_effects, reason = "at most `LEN + CRC_LEN`, and seven more")]
     fn on_next(
         &mut self,
         number: usize,
@@ -249,6 +251,7 @@ impl<const PLACES: usize, const LEN: usize> Reassembler<PLACES, LEN> {
         }
     }
 
+    #[expect(clippy::arithmetic_side_effects, reason = "a position below `PLACES`")]
     fn remember(&mut self, frame: &Frame, now: Instant) {
         let of_channel =
             self.recent.iter().position(|seen| seen.is_some_and(|(seen, _)| same_channel(&seen, frame)));
@@ -264,6 +267,7 @@ impl<const PLACES: usize, const LEN: usize> Reassembler<PLACES, LEN> {
 
 impl<const LEN: usize> Place<LEN> {
     /// Appends the piece of a frame. What goes beyond the content is CRC, which need not be kept.
+    #[expect(clippy::arithmetic_side_effects, reason = "the caller asked for room")]
     fn store(&mut self, progress: &mut Progress, frame: &Frame) {
         let piece = frame.payload.as_slice().get(1..).unwrap_or(&[]);
         let room = self.content.get_mut(progress.len..).unwrap_or(&mut []);

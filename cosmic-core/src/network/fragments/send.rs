@@ -86,6 +86,10 @@ impl<const LEN: usize> Fragmenter<LEN> {
     }
 
     /// The next frame's data, if the one before was sent.
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "lengths of at most 64 KiB, and `done <= upto <= done + PIECE`"
+    )]
     pub fn poll(&mut self) -> Option<Payload> {
         if self.state != State::Ready {
             return None;

@@ -336,6 +336,7 @@ impl<const N: usize> Dispatcher<N> {
 
     /// Starts the slots again that are left, as long as nothing must be said about one of them: their old
     /// instants may lie far in the future, or in the past.
+    #[expect(clippy::arithmetic_side_effects, reason = "below `N`")]
     fn restart(&mut self, today: GlobalInstant, buffers: &mut HrtBuffers<N>) -> Result<(), CalendarStep> {
         while self.restarting < N {
             abandon(buffers)?;

@@ -52,6 +52,10 @@ impl PriorityMap {
 
     /// The priority of an event with this much time left: 1 + remaining / Δt_p, at most 249.
     #[inline]
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "the products fit, as [`Self::LONGEST_STEP`] says, and a step is not zero"
+    )]
     pub const fn priority(self, remaining: Duration) -> Priority {
         let least = Priority::SOFT_LEAST_URGENT.get() as u32 - 1;
         let remaining = remaining.as_ticks();
@@ -63,6 +67,10 @@ impl PriorityMap {
 
     /// The priority of an event at `now`, and when it must leave that for the next more urgent one.
     #[inline]
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "a priority is at least one, and the product fits, as [`Self::LONGEST_STEP`] says"
+    )]
     fn assign(self, deadline: Instant, now: Instant) -> (Priority, Instant) {
         let priority = self.priority(deadline.saturating_since(now));
         let steps = u32::from(priority.get() - 1);
@@ -158,6 +166,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     }
 
     /// Soft and non real-time events that have not been sent.
+    #[expect(clippy::arithmetic_side_effects, reason = "two lengths of at most 255")]
     pub fn len(&self) -> usize {
         self.soft.len() + self.non_real_time.len()
     }
@@ -243,6 +252,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     }
 
     /// Returns whether there is room for another non real-time event.
+    #[expect(clippy::arithmetic_side_effects, reason = "lengths of at most 255")]
     pub fn has_room_for_non_real_time(&self) -> bool {
         self.non_real_time.len() + RESERVED < NRT
     }

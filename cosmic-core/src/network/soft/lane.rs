@@ -167,6 +167,7 @@ impl<const N: usize> Lane<N> {
     }
 
     /// Frames that wait or are in the mailbox.
+    #[expect(clippy::arithmetic_side_effects, reason = "at most 255, and one")]
     pub(super) fn len(&self) -> usize {
         self.queue.len() + usize::from(!matches!(self.content, InMailbox::Empty))
     }
@@ -179,6 +180,7 @@ impl<const N: usize> Lane<N> {
 
     /// Leaves `reserve` places free. The frame in the mailbox comes back to the queue if it is withdrawn,
     /// so it keeps its place there.
+    #[expect(clippy::arithmetic_side_effects, reason = "at most 255, one, and a few places")]
     pub(super) fn push(&mut self, key: u64, entry: Entry, reserve: usize) -> Result<(), Entry> {
         if self.len() + reserve >= N {
             return Err(entry);

@@ -30,6 +30,7 @@ pub struct Queue<T, const N: usize> {
 impl<T, const N: usize> Queue<T, N> {
     /// An empty queue.
     #[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
+    #[expect(clippy::arithmetic_side_effects, reason = "within the length, by the loop")]
     pub const fn new() -> Self {
         const { assert!(N > 0 && N <= 255, "a queue has 1..=255 places") };
         let mut ranks = [Rank { key: 0, order: 0, place: 0 }; N];
@@ -98,6 +99,7 @@ impl<T, const N: usize> Queue<T, N> {
     }
 
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "there was a place behind the last")]
     fn insert(&mut self, key: u64, order: u32, item: T) -> Result<(), T> {
         let at = self.len;
         let Some(rank) = self.ranks.get_mut(at) else { return Err(item) };
@@ -112,6 +114,7 @@ impl<T, const N: usize> Queue<T, N> {
         Ok(())
     }
 
+    #[expect(clippy::arithmetic_side_effects, reason = "it is not empty")]
     fn remove(&mut self, at: usize) -> Option<(u64, u32, T)> {
         if at >= self.len {
             return None;
@@ -129,6 +132,7 @@ impl<T, const N: usize> Queue<T, N> {
     }
 
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "it is not zero")]
     fn sift_up(&mut self, mut at: usize) {
         let Some(ranks) = self.ranks.get_mut(..self.len) else { return };
         while at > 0 {
@@ -142,6 +146,7 @@ impl<T, const N: usize> Queue<T, N> {
     }
 
     #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "twice 255 at most")]
     fn sift_down(&mut self, mut at: usize) {
         let Some(ranks) = self.ranks.get_mut(..self.len) else { return };
         loop {
