@@ -3,6 +3,7 @@
 mod attributes;
 mod channel;
 mod content;
+mod delivery;
 mod exception;
 mod filter;
 mod layer;
@@ -17,10 +18,11 @@ pub use channel::{Channel, ChannelCounters, Depth, Policy, Publication, Subscrip
 pub use content::{Content, layout_of};
 pub use exception::{Exception, ExceptionKind};
 pub use filter::{Attribute, Context, Filter, NoRoom};
-pub use layer::{AnnounceError, Delivered, EventLayer, SubscribeError};
+pub use delivery::Delivered;
+pub use layer::{AnnounceError, EventLayer, SubscribeError};
 pub use publish::{Event, PublishError, Published};
 
 pub(crate) use channel::Declared;
 pub(crate) use exception::Exceptions;
-pub(crate) use layer::{Accepted, Received};
+pub(crate) use delivery::{Accepted, Received};
 pub(crate) use publish::{Quality, encode};

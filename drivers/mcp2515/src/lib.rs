@@ -85,7 +85,7 @@ impl<E: fmt::Debug> fmt::Display for SetUpError<E> {
 impl<E: fmt::Debug> core::error::Error for SetUpError<E> {}
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-enum Content {
+enum MailboxState {
     Empty,
     Loaded,
     /// It has gone by then, if it is not sent.
@@ -98,7 +98,7 @@ pub struct Mcp2515<SPI> {
     spi: SPI,
     /// How long a withdrawn frame may still be on its way.
     on_the_wire: Duration,
-    content: [Content; 3],
+    states: [MailboxState; 3],
     lost: u32,
     foreign: u32,
 }
@@ -112,7 +112,7 @@ impl<SPI: SpiDevice> Mcp2515<SPI> {
     pub fn new(spi: SPI, delay: &mut impl DelayNs, config: &Config) -> Result<Self, SetUpError<SPI::Error>> {
         let timing = BitTiming::new(config.oscillator_hz, config.bit_rate).ok_or(SetUpError::BitRate)?;
         let on_the_wire = config.bit_rate.bits(2 * LONGEST_FRAME_BITS);
-        let mut chip = Self { spi, on_the_wire, content: [Content::Empty; 3], lost: 0, foreign: 0 };
+        let mut chip = Self { spi, on_the_wire, states: [MailboxState::Empty; 3], lost: 0, foreign: 0 };
         chip.spi.write(&[RESET]).map_err(SetUpError::Spi)?;
         delay.delay_us(START_UP_CYCLES * 1_000_000 / config.oscillator_hz + 1);
         let is_there = chip.set_up(timing, &config.filters).map_err(SetUpError::Spi)?;
@@ -203,34 +203,34 @@ impl<SPI: SpiDevice> Controller for Mcp2515<SPI> {
         let mut operations = [Operation::Write(&header), Operation::Write(frame.payload.as_slice())];
         self.spi.transaction(&mut operations)?;
         self.spi.write(&[REQUEST_TO_SEND | 1 << buffer])?;
-        self.set_content(mailbox, Content::Loaded);
+        self.set_state(mailbox, MailboxState::Loaded);
         Ok(())
     }
 
     fn withdraw(&mut self, mailbox: Mailbox, now: Instant) -> Result<(), Self::Error> {
-        if self.content.get(mailbox as usize) == Some(&Content::Loaded) {
+        if self.states.get(mailbox as usize) == Some(&MailboxState::Loaded) {
             self.clear(control(mailbox), TXREQ)?;
-            self.set_content(mailbox, Content::Withdrawing(now + self.on_the_wire));
+            self.set_state(mailbox, MailboxState::Withdrawing(now + self.on_the_wire));
         }
         Ok(())
     }
 
     fn outcome(&mut self, now: Instant) -> Result<Option<(Mailbox, Outcome)>, Self::Error> {
-        if self.content == [Content::Empty; 3] {
+        if self.states == [MailboxState::Empty; 3] {
             return Ok(None);
         }
         let status = self.read_status()?;
-        let mailboxes = Mailbox::ALL.into_iter().zip(STATUS_TX).zip(self.content);
+        let mailboxes = Mailbox::ALL.into_iter().zip(STATUS_TX).zip(self.states);
         for ((mailbox, sent), content) in mailboxes {
             let outcome = match content {
-                Content::Loaded | Content::Withdrawing(_) if status & sent != 0 => {
+                MailboxState::Loaded | MailboxState::Withdrawing(_) if status & sent != 0 => {
                     self.clear(CANINTF, TX0IF << mailbox as u8)?;
                     Outcome::Sent
                 }
-                Content::Withdrawing(gone_by) if now >= gone_by => Outcome::Withdrawn,
+                MailboxState::Withdrawing(gone_by) if now >= gone_by => Outcome::Withdrawn,
                 _ => continue,
             };
-            self.set_content(mailbox, Content::Empty);
+            self.set_state(mailbox, MailboxState::Empty);
             return Ok(Some((mailbox, outcome)));
         }
         Ok(None)
@@ -263,18 +263,18 @@ impl<SPI: SpiDevice> Controller for Mcp2515<SPI> {
     }
 
     fn next_wakeup(&self) -> Instant {
-        let waits = self.content.iter().filter_map(|content| match content {
-            Content::Withdrawing(gone_by) => Some(*gone_by),
-            Content::Empty | Content::Loaded => None,
+        let waits = self.states.iter().filter_map(|state| match state {
+            MailboxState::Withdrawing(gone_by) => Some(*gone_by),
+            MailboxState::Empty | MailboxState::Loaded => None,
         });
         waits.min().unwrap_or(Instant::FAR_FUTURE)
     }
 }
 
 impl<SPI> Mcp2515<SPI> {
-    fn set_content(&mut self, mailbox: Mailbox, content: Content) {
-        if let Some(place) = self.content.get_mut(mailbox as usize) {
-            *place = content;
+    fn set_state(&mut self, mailbox: Mailbox, state: MailboxState) {
+        if let Some(place) = self.states.get_mut(mailbox as usize) {
+            *place = state;
         }
     }
 }

@@ -5,7 +5,7 @@
 //! tell the difference, except in the cycles of a handler that uses the unit, where lazy saving is the
 //! cheaper one; so entry costs the same with both frames, as on hardware with a handler that does not.
 
-use crate::cpu::{Access, Cpu, Fault, NoMemory, Register};
+use crate::cpu::{AccessKind, Cpu, CpuFault, NoMemory, Register};
 use crate::soc::{Masks, number};
 
 /// Cycles from an exception to the first instruction of its handler (Cortex-M4 TRM, 3.9.1).
@@ -37,7 +37,7 @@ pub(crate) fn masks(cpu: &dyn Cpu) -> Masks {
 }
 
 /// Saves the context that is interrupted and returns the EXC_RETURN that leads back to it.
-pub(crate) fn stack(cpu: &mut dyn Cpu, align: bool) -> Result<u32, Fault> {
+pub(crate) fn stack(cpu: &mut dyn Cpu, align: bool) -> Result<u32, CpuFault> {
     let control = cpu.register(Register::Control);
     let is_thread = cpu.register(Register::Xpsr) & 0x1FF == 0;
     let uses_process_stack = is_thread && control & CONTROL_SPSEL != 0;
@@ -58,7 +58,7 @@ pub(crate) fn stack(cpu: &mut dyn Cpu, align: bool) -> Result<u32, Fault> {
         words.push(cpu.register(Register::Fpscr));
     }
     let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
-    cpu.write_memory(frame, &bytes).map_err(|fault| stack_fault(fault, Access::Write))?;
+    cpu.write_memory(frame, &bytes).map_err(|fault| stack_fault(fault, AccessKind::Write))?;
     cpu.set_register(Register::Sp, frame);
 
     let mode = if is_thread { RETURN_THREAD } else { 0 };
@@ -85,14 +85,14 @@ pub(crate) fn is_valid(exc_return: u32, leaves_thread: bool) -> bool {
 }
 
 /// Restores the context that `exc_return` leads to.
-pub(crate) fn unstack(cpu: &mut dyn Cpu, exc_return: u32) -> Result<(), Fault> {
+pub(crate) fn unstack(cpu: &mut dyn Cpu, exc_return: u32) -> Result<(), CpuFault> {
     let to_process_stack = exc_return & RETURN_PROCESS != 0;
     let is_extended = exc_return & RETURN_BASIC == 0;
     let stack_pointer = if to_process_stack { Register::Psp } else { Register::Msp };
     let frame = cpu.register(stack_pointer);
     let size = if is_extended { EXTENDED_FRAME } else { BASIC_FRAME };
     let mut bytes = vec![0; size as usize];
-    cpu.read_memory(frame, &mut bytes).map_err(|fault| stack_fault(fault, Access::Read))?;
+    cpu.read_memory(frame, &mut bytes).map_err(|fault| stack_fault(fault, AccessKind::Read))?;
     let words: Vec<u32> =
         bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
 
@@ -130,6 +130,6 @@ pub(crate) fn clear_faultmask(cpu: &mut dyn Cpu, exception: u16) {
     }
 }
 
-fn stack_fault(NoMemory(address): NoMemory, access: Access) -> Fault {
-    Fault::Access { access, address }
+fn stack_fault(NoMemory(address): NoMemory, access: AccessKind) -> CpuFault {
+    CpuFault::Access { access, address }
 }

@@ -57,7 +57,7 @@ mod station;
 
 pub use clock::ClockError;
 pub use cluster::{Cluster, NoSuchFunction};
-pub use cpu::{Access, Fault};
+pub use cpu::{AccessKind, CpuFault};
 pub use image::LoadError;
 pub use log::LogLine;
 pub use node::{Firmware, NodeConfig};

@@ -2,7 +2,7 @@
 
 use cosmic_bus::VirtualInstant;
 
-use crate::cpu::{Access, Fault};
+use crate::cpu::{AccessKind, CpuFault};
 use crate::log::LogLine;
 
 /// A node of a cluster, in the order in which they were added.
@@ -91,7 +91,7 @@ pub enum ObservationKind {
     /// or had no effect. Reported once for each place in the program.
     NotModelled {
         /// Read or write.
-        access: Access,
+        access: AccessKind,
         /// The register.
         address: u32,
         /// The instruction.
@@ -100,7 +100,7 @@ pub enum ObservationKind {
     /// The firmware accessed a peripheral whose clock is off in RCC. The access read 0, or had no effect.
     NotClocked {
         /// Read or write.
-        access: Access,
+        access: AccessKind,
         /// The register.
         address: u32,
         /// The instruction.
@@ -127,7 +127,7 @@ pub enum ObservationKind {
 pub enum StopReason {
     /// A fault. On hardware HardFault would be next; nothing useful ever follows it.
     #[error("{0}")]
-    Fault(Fault),
+    Fault(CpuFault),
     /// A breakpoint instruction, at which hardware without a debugger faults.
     #[error("breakpoint {0}")]
     Breakpoint(u8),

@@ -2,7 +2,7 @@
 
 mod support;
 
-use cosmic_emu::{Fault, ObservationKind, StopReason};
+use cosmic_emu::{CpuFault, ObservationKind, StopReason};
 use support::register::{ICSR, TIM2};
 use support::{HSI_PERIOD_NS, Program, edges, order, run};
 
@@ -154,7 +154,7 @@ fn faults_end_a_node_and_name_the_place() {
     });
     let seen = run(&program, 100);
     let [only] = &seen[..] else { panic!("{seen:?}") };
-    let ObservationKind::Stopped { reason: StopReason::Fault(Fault::Access { address, .. }), place } =
+    let ObservationKind::Stopped { reason: StopReason::Fault(CpuFault::Access { address, .. }), place } =
         &only.kind
     else {
         panic!("{only:?}")

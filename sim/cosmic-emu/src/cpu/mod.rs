@@ -45,7 +45,7 @@ pub(crate) enum Register {
     Primask,
     /// Base priority.
     Basepri,
-    /// Fault mask.
+    /// CpuFault mask.
     Faultmask,
     /// Stack selection, privilege, FPCA.
     Control,
@@ -73,17 +73,17 @@ pub(crate) enum Stop {
     /// A branch to this EXC_RETURN value.
     ExceptionReturn(u32),
     /// The instruction at PC cannot be executed.
-    Fault(Fault),
+    Fault(CpuFault),
 }
 
 /// What went wrong in an instruction.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
-pub enum Fault {
+pub enum CpuFault {
     /// Nothing is mapped at the address, or it may not be accessed in this way.
     #[error("{access} of unmapped or protected address {address:#010x}")]
     Access {
         /// What was tried.
-        access: Access,
+        access: AccessKind,
         /// Where.
         address: u32,
     },
@@ -94,7 +94,7 @@ pub enum Fault {
     #[error("unaligned {access} of address {address:#010x}")]
     Unaligned {
         /// What was tried.
-        access: Access,
+        access: AccessKind,
         /// Where.
         address: u32,
     },
@@ -108,7 +108,7 @@ pub enum Fault {
 
 /// A kind of memory access.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Access {
+pub enum AccessKind {
     /// A load.
     Read,
     /// A store.
@@ -117,12 +117,12 @@ pub enum Access {
     Fetch,
 }
 
-impl core::fmt::Display for Access {
+impl core::fmt::Display for AccessKind {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
-            Access::Read => "read",
-            Access::Write => "write",
-            Access::Fetch => "instruction fetch",
+            AccessKind::Read => "read",
+            AccessKind::Write => "write",
+            AccessKind::Fetch => "instruction fetch",
         })
     }
 }

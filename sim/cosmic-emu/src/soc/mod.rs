@@ -18,7 +18,7 @@ use std::collections::BTreeSet;
 use std::rc::Rc;
 
 use crate::clock::{ClockError, Timebase};
-use crate::cpu::{Access, Io, Pace};
+use crate::cpu::{AccessKind, Io, Pace};
 use can::BxCan;
 use cosmic_bus::VirtualInstant;
 use gpio::Port;
@@ -48,9 +48,9 @@ pub(crate) enum HappeningKind {
     /// An output pin changed: port (0 is A), pin, level.
     Pin(u8, u8, bool),
     /// An access to something that is not modelled; reported once for each place in the program.
-    NotModelled { access: Access, address: u32, pc: u32 },
+    NotModelled { access: AccessKind, address: u32, pc: u32 },
     /// An access to a peripheral whose clock is off; it has no effect.
-    NotClocked { access: Access, address: u32, pc: u32 },
+    NotClocked { access: AccessKind, address: u32, pc: u32 },
 }
 
 /// Everything in the part but core and memories.
@@ -254,14 +254,14 @@ impl System {
     }
 
     /// Reports an access, once for each instruction that makes it.
-    fn report(&mut self, access: Access, address: u32, kind: fn(Access, u32, u32) -> HappeningKind) {
+    fn report(&mut self, access: AccessKind, address: u32, kind: fn(AccessKind, u32, u32) -> HappeningKind) {
         let pc = self.pace.pc();
-        if self.reported.insert((access == Access::Write, address, pc)) {
+        if self.reported.insert((access == AccessKind::Write, address, pc)) {
             self.happen(kind(access, address, pc));
         }
     }
 
-    fn report_not_modelled(&mut self, access: Access, address: u32) {
+    fn report_not_modelled(&mut self, access: AccessKind, address: u32) {
         self.report(access, address, |access, address, pc| HappeningKind::NotModelled {
             access,
             address,
@@ -273,7 +273,7 @@ impl System {
     fn load(&mut self, address: u32) -> u32 {
         self.advance();
         if !self.rcc.is_clocked(address) {
-            self.report(Access::Read, address, |access, address, pc| HappeningKind::NotClocked {
+            self.report(AccessKind::Read, address, |access, address, pc| HappeningKind::NotClocked {
                 access,
                 address,
                 pc,
@@ -281,7 +281,7 @@ impl System {
             return 0;
         }
         self.read_word(address).unwrap_or_else(|| {
-            self.report_not_modelled(Access::Read, address);
+            self.report_not_modelled(AccessKind::Read, address);
             0
         })
     }
@@ -289,7 +289,7 @@ impl System {
     fn store(&mut self, address: u32, value: u32, lanes: u32) {
         self.advance();
         if !self.rcc.is_clocked(address) {
-            self.report(Access::Write, address, |access, address, pc| HappeningKind::NotClocked {
+            self.report(AccessKind::Write, address, |access, address, pc| HappeningKind::NotClocked {
                 access,
                 address,
                 pc,
@@ -297,7 +297,7 @@ impl System {
             return;
         }
         if self.write_word(address, value, lanes).is_err() {
-            self.report_not_modelled(Access::Write, address);
+            self.report_not_modelled(AccessKind::Write, address);
         }
         self.settle();
     }
@@ -380,7 +380,7 @@ mod tests {
             system.read(0x4000_6404, 4); // CAN1 without clock
         }
         let kinds: Vec<_> = system.take_happenings().iter().map(|happening| happening.kind).collect();
-        let (write, read) = (Access::Write, Access::Read);
+        let (write, read) = (AccessKind::Write, AccessKind::Read);
         assert_eq!(
             kinds,
             [

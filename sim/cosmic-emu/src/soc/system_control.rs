@@ -144,7 +144,7 @@ impl SystemControl {
             }
             0xED14 => self.ccr = value,
             0xED18..=0xED23 => nvic.write_priorities((offset - 0xED18) as u16 + 4, value, lanes),
-            // Fault enables: faults end the node whether enabled or not.
+            // CpuFault enables: faults end the node whether enabled or not.
             0xED24 => self.shcsr = value & 0x0007_0000,
             0xED28 | 0xED2C | 0xED30 => {}
             0xED88 => self.cpacr = value,

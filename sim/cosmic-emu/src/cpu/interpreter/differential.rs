@@ -117,7 +117,7 @@ fn other_core() -> Unicorn<'static, ()> {
 /// What the other core made of an instruction.
 enum Theirs {
     Done(Box<State>),
-    Fault,
+    CpuFault,
     /// It refuses some encodings whose effect is unpredictable, which ours executes.
     Undefined,
 }

@@ -4,7 +4,7 @@ use super::arithmetic::{self, add_with_carry, dual, half};
 use super::op::Op;
 use super::operands::{Accumulate, Alu, Binary, CarryOut, Flags, Long, Operand, Reg, Shift};
 use super::{CONTROL_FPCA, Interpreter, LR, PC, float};
-use crate::cpu::{Fault, Stop};
+use crate::cpu::{CpuFault, Stop};
 
 impl Interpreter {
     /// Performs an instruction; `self.next` is where execution goes on. This is the one large function:
@@ -94,7 +94,7 @@ impl Interpreter {
                 }
             }
             Op::Nop => {}
-            Op::Unknown | Op::Undefined => return Err(Stop::Fault(Fault::Undefined)),
+            Op::Unknown | Op::Undefined => return Err(Stop::Fault(CpuFault::Undefined)),
             Op::Breakpoint(immediate) => return Err(Stop::Breakpoint(immediate)),
             op => return self.float(op),
         }

@@ -2,7 +2,7 @@
 
 use super::operands::{Address, Reg, Width};
 use super::{Interpreter, PC};
-use crate::cpu::{Access, Fault, Stop};
+use crate::cpu::{AccessKind, CpuFault, Stop};
 
 impl Interpreter {
     #[inline]
@@ -26,7 +26,7 @@ impl Interpreter {
             return Err(Stop::ExceptionReturn(target));
         }
         if target & 1 == 0 {
-            return Err(Stop::Fault(Fault::NotThumb { target }));
+            return Err(Stop::Fault(CpuFault::NotThumb { target }));
         }
         self.next = target & !1;
         Ok(())
@@ -83,7 +83,7 @@ impl Interpreter {
 
     pub(super) fn load_dual(&mut self, rt: Reg, rt2: Reg, address: Address) -> Result<(), Stop> {
         let (address, base) = self.address(address);
-        aligned(address, Access::Read)?;
+        aligned(address, AccessKind::Read)?;
         let (low, high) = (self.memory.load(address, 4)?, self.memory.load(address.wrapping_add(4), 4)?);
         self.write_back(base);
         self.set(rt, low);
@@ -93,7 +93,7 @@ impl Interpreter {
 
     pub(super) fn store_dual(&mut self, rt: Reg, rt2: Reg, address: Address) -> Result<(), Stop> {
         let (address, base) = self.address(address);
-        aligned(address, Access::Write)?;
+        aligned(address, AccessKind::Write)?;
         self.memory.store(address, 4, self.get(rt))?;
         self.memory.store(address.wrapping_add(4), 4, self.get(rt2))?;
         self.write_back(base);
@@ -119,7 +119,7 @@ impl Interpreter {
         decrement: bool,
     ) -> Result<(), Stop> {
         let (mut address, after) = self.block(rn, list.count_ones(), decrement);
-        aligned(address, Access::Read)?;
+        aligned(address, AccessKind::Read)?;
         let mut target = None;
         let mut loaded = self.r;
         for register in (0..16).filter(|register| list >> register & 1 != 0) {
@@ -142,7 +142,7 @@ impl Interpreter {
         decrement: bool,
     ) -> Result<(), Stop> {
         let (mut address, after) = self.block(rn, list.count_ones(), decrement);
-        aligned(address, Access::Write)?;
+        aligned(address, AccessKind::Write)?;
         for register in (0..16).filter(|register| list >> register & 1 != 0) {
             self.memory.store(address, 4, self.r[register])?;
             address = address.wrapping_add(4);
@@ -222,7 +222,7 @@ impl Interpreter {
     }
 
     fn load_floats(&mut self, first: u8, count: u8, mut address: u32) -> Result<(), Stop> {
-        aligned(address, Access::Read)?;
+        aligned(address, AccessKind::Read)?;
         for register in first..first + count {
             self.s[usize::from(register & 31)] = self.memory.load(address, 4)?;
             address = address.wrapping_add(4);
@@ -231,7 +231,7 @@ impl Interpreter {
     }
 
     fn store_floats(&mut self, first: u8, count: u8, mut address: u32) -> Result<(), Stop> {
-        aligned(address, Access::Write)?;
+        aligned(address, AccessKind::Write)?;
         for register in first..first + count {
             self.memory.store(address, 4, self.s[usize::from(register & 31)])?;
             address = address.wrapping_add(4);
@@ -241,6 +241,6 @@ impl Interpreter {
 }
 
 /// Multiple, dual and floating point accesses must be aligned (A3.2.1).
-fn aligned(address: u32, access: Access) -> Result<(), Fault> {
-    if address.is_multiple_of(4) { Ok(()) } else { Err(Fault::Unaligned { access, address }) }
+fn aligned(address: u32, access: AccessKind) -> Result<(), CpuFault> {
+    if address.is_multiple_of(4) { Ok(()) } else { Err(CpuFault::Unaligned { access, address }) }
 }

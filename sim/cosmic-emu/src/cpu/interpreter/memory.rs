@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use crate::cpu::{Access, Fault, Io, NoMemory};
+use crate::cpu::{AccessKind, CpuFault, Io, NoMemory};
 use crate::memory::Region;
 
 /// A memory with its content.
@@ -25,7 +25,7 @@ pub(super) struct Memory {
 impl Memory {
     /// A load of 1, 2 or 4 bytes, zero-extended.
     #[inline]
-    pub(super) fn load(&mut self, address: u32, size: u32) -> Result<u32, Fault> {
+    pub(super) fn load(&mut self, address: u32, size: u32) -> Result<u32, CpuFault> {
         for block in &self.blocks {
             let offset = address.wrapping_sub(block.base) as usize;
             let Some(bytes) = block.bytes.get(offset..) else { continue };
@@ -40,14 +40,14 @@ impl Memory {
     }
 
     #[cold]
-    fn load_io(&mut self, address: u32, size: u32) -> Result<u32, Fault> {
-        self.check_io(address, size, Access::Read)?;
+    fn load_io(&mut self, address: u32, size: u32) -> Result<u32, CpuFault> {
+        self.check_io(address, size, AccessKind::Read)?;
         Ok(self.io.borrow_mut().read(address, size as usize))
     }
 
     /// A store of 1, 2 or 4 bytes.
     #[inline]
-    pub(super) fn store(&mut self, address: u32, size: u32, value: u32) -> Result<(), Fault> {
+    pub(super) fn store(&mut self, address: u32, size: u32, value: u32) -> Result<(), CpuFault> {
         let [v0, v1, v2, v3] = value.to_le_bytes();
         for block in &mut self.blocks[..self.writable] {
             let offset = address.wrapping_sub(block.base) as usize;
@@ -64,8 +64,8 @@ impl Memory {
     }
 
     #[cold]
-    fn store_io(&mut self, address: u32, size: u32, value: u32) -> Result<(), Fault> {
-        self.check_io(address, size, Access::Write)?;
+    fn store_io(&mut self, address: u32, size: u32, value: u32) -> Result<(), CpuFault> {
+        self.check_io(address, size, AccessKind::Write)?;
         self.io.borrow_mut().write(address, size as usize, value);
         Ok(())
     }
@@ -98,12 +98,12 @@ impl Memory {
     }
 
     /// Peripherals take aligned accesses only.
-    fn check_io(&self, address: u32, size: u32, access: Access) -> Result<(), Fault> {
+    fn check_io(&self, address: u32, size: u32, access: AccessKind) -> Result<(), CpuFault> {
         let is_io = self.io_regions.iter().any(|region| region.holds(address, size as usize));
         if !is_io {
-            return Err(Fault::Access { access, address });
+            return Err(CpuFault::Access { access, address });
         }
-        if address.is_multiple_of(size) { Ok(()) } else { Err(Fault::Unaligned { access, address }) }
+        if address.is_multiple_of(size) { Ok(()) } else { Err(CpuFault::Unaligned { access, address }) }
     }
 }
 

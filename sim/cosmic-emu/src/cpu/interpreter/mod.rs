@@ -26,7 +26,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use super::cycles::cycles;
-use super::{Access, Cpu, Fault, Io, NoMemory, Pace, Register, Stop};
+use super::{AccessKind, Cpu, CpuFault, Io, NoMemory, Pace, Register, Stop};
 use crate::memory::Region;
 use memory::{Block, Memory};
 use op::Op;
@@ -195,7 +195,7 @@ impl Interpreter {
     /// The slot of [`Self::decoded`] that holds the instruction at `pc`. The last slot is for code outside
     /// of the flash memory, and decoded anew each time.
     #[inline]
-    fn fetch(&mut self, pc: u32) -> Result<usize, Fault> {
+    fn fetch(&mut self, pc: u32) -> Result<usize, CpuFault> {
         let slot = (pc.wrapping_sub(self.code_base) / 2) as usize;
         match self.decoded.get(slot) {
             Some(decoded) if decoded.op != Op::Unknown => Ok(slot),
@@ -204,8 +204,9 @@ impl Interpreter {
     }
 
     #[cold]
-    fn decode(&mut self, pc: u32, slot: usize) -> Result<usize, Fault> {
-        let first = self.memory.fetch(pc).ok_or(Fault::Access { access: Access::Fetch, address: pc })?;
+    fn decode(&mut self, pc: u32, slot: usize) -> Result<usize, CpuFault> {
+        let first =
+            self.memory.fetch(pc).ok_or(CpuFault::Access { access: AccessKind::Fetch, address: pc })?;
         // Behind the last instruction of a memory there may be nothing.
         let second = self.memory.fetch(pc.wrapping_add(2)).unwrap_or(0);
         self.decoded[slot] = Decoded::new(first, second);
@@ -285,8 +286,8 @@ impl Interpreter {
     }
 }
 
-impl From<Fault> for Stop {
-    fn from(fault: Fault) -> Self {
+impl From<CpuFault> for Stop {
+    fn from(fault: CpuFault) -> Self {
         Self::Fault(fault)
     }
 }

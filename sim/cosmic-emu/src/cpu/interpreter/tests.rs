@@ -1,7 +1,7 @@
 //! The core alone, without the rest of a node.
 
 use super::*;
-use crate::cpu::Access;
+use crate::cpu::AccessKind;
 
 const FLASH: Region = Region { base: 0x0800_0000, size: 0x1000 };
 const RAM: Region = Region { base: 0x2000_0000, size: 0x1000 };
@@ -88,7 +88,7 @@ fn exception_returns_are_told_in_handler_mode_only() {
     assert_eq!(cpu.run(), Stop::ExceptionReturn(0xFFFF_FFF9));
     cpu.set_register(Register::Ipsr, 0);
     cpu.set_register(Register::Pc, FLASH.base);
-    let fault = Fault::Access { access: Access::Fetch, address: 0xFFFF_FFF8 };
+    let fault = CpuFault::Access { access: AccessKind::Fetch, address: 0xFFFF_FFF8 };
     assert_eq!(cpu.run(), Stop::Fault(fault));
 }
 
@@ -97,7 +97,7 @@ fn peripheral_accesses_see_the_cycle() {
     // mov.w r1, #0x40000000; str r1, [r1, #4]; ldr r2, [r1]; udf
     let (mut cpu, pace, log) = cpu(&[0xF04F, 0x4180, 0x6049, 0x680A, 0xDE00]);
     pace.set_limit(100);
-    assert_eq!(cpu.run(), Stop::Fault(Fault::Undefined));
+    assert_eq!(cpu.run(), Stop::Fault(CpuFault::Undefined));
     assert_eq!(log.borrow().1, [(2, 0x4000_0004, 0x4000_0000)]);
     assert_eq!((cpu.register(Register::R(2)), pace.instructions()), (4, 3));
 }
@@ -107,7 +107,7 @@ fn faults_name_the_address_and_leave_the_pc() {
     // mov.w r1, #0xC0000000; ldr r1, [r1]
     let (mut cpu, pace, _) = cpu(&[0xF04F, 0x4140, 0x6809]);
     pace.set_limit(100);
-    let fault = Fault::Access { access: Access::Read, address: 0xC000_0000 };
+    let fault = CpuFault::Access { access: AccessKind::Read, address: 0xC000_0000 };
     assert_eq!(cpu.run(), Stop::Fault(fault));
     assert_eq!(cpu.register(Register::Pc), FLASH.base + 4);
 }
