@@ -16,6 +16,8 @@ use cosmic_core::time::Duration;
 pub struct Cluster {
     /// When which hard real-time frame may be on the bus.
     pub calendar: &'static Calendar,
+    /// How often the time master sends its time.
+    pub sync_period: Duration,
     /// The nodes.
     pub nodes: Vec<Node>,
     /// The event channels.
@@ -106,7 +108,13 @@ pub static EXAMPLE: LazyLock<Cluster> = LazyLock::new(|| {
         channel("suspension", suspension::SUBJECT, suspension::ETAG, soft(suspension::ATTRIBUTES)),
         channel("logbook", logbook::SUBJECT, logbook::ETAG, Promise::NonRealTime),
     ];
-    Cluster { calendar: &plan::CALENDAR, nodes, channels: channels.into_iter().flatten().collect() }
+    let sync_period = plan::SYNC.period;
+    Cluster {
+        calendar: &plan::CALENDAR,
+        sync_period,
+        nodes,
+        channels: channels.into_iter().flatten().collect(),
+    }
 });
 
 cosmic_core::include_plan!();

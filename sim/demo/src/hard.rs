@@ -3,8 +3,10 @@
 //! The windows come from the calendar in global time, the attempts from the wire, deliveries and exceptions
 //! from the records of the nodes. An event is within its *fault hypothesis* if at most k attempts to send it
 //! were destroyed in its window, k being the omission degree of the slot. Then it must become visible to
-//! each subscriber exactly once, at its delivery instant. Beyond the hypothesis it may be lost, but publisher
-//! and subscribers must be told. A node that is bus-off is beyond any hypothesis, too.
+//! each subscriber exactly once, at its delivery instant. Beyond the hypothesis it may be lost, but the publisher
+//! must be told of what was not sent, and subscribers of what they did not get. Two things are beyond any
+//! hypothesis, too: a node that is bus-off, and a node that has lost the time of the cluster because sync frames
+//! were destroyed ([`crate::sync`]). It keeps silent in its slots and says so (exception *clock out of bound*).
 //!
 //! Until the clocks of all nodes are synchronised, nodes keep silent in their slots and say so (exception
 //! *clock out of bound*). That is the settling time; slots in it are not judged one by one, but what was
@@ -21,6 +23,7 @@ use crate::clock::GlobalTimeline;
 use crate::journal::Journal;
 use crate::ledger::Ledger;
 use crate::span::{Span, Spread};
+use crate::sync::Syncs;
 use crate::violation::Violation;
 
 /// How late a task may see an instant that has come, besides the release jitter of the calendar: the
@@ -51,8 +54,8 @@ pub struct Occurrence {
     pub attempts: Vec<usize>,
     /// How many of them were destroyed.
     pub faulted: u32,
-    /// Whether the publisher or a subscriber was bus-off in it.
-    pub bus_off: bool,
+    /// Whether the publisher or a subscriber was bus-off in it, or had lost the time of the cluster.
+    pub absent: bool,
     /// The event that it carried; `None` if nothing was sent.
     pub sequence: Option<u32>,
     /// What became of it.
@@ -64,6 +67,8 @@ pub struct Occurrence {
 pub enum Fate {
     /// Not judged: the clocks were not synchronised yet, or nothing had been published on the channel.
     Settling,
+    /// Not judged: the cluster had no common time, for its time master had changed or could not be heard.
+    NoCommonTime,
     /// Visible to every subscriber at its delivery instant.
     Delivered,
     /// Nothing was there to be sent, which was reported if it had to be.
@@ -74,10 +79,17 @@ pub enum Fate {
     Violated,
 }
 
+impl Fate {
+    /// Returns whether the occurrence was judged.
+    pub const fn is_judged(self) -> bool {
+        !matches!(self, Self::Settling | Self::NoCommonTime)
+    }
+}
+
 impl Occurrence {
     /// Returns whether more was lost than the slot is made for.
     pub fn is_beyond_hypothesis(&self) -> bool {
-        self.bus_off || self.faulted > u32::from(self.slot.omission_degree)
+        self.absent || self.faulted > u32::from(self.slot.omission_degree)
     }
 }
 
@@ -110,7 +122,8 @@ pub fn judge(journal: &Journal, ledger: &Ledger) -> Slots {
     let timeline = journal.timeline();
     let mut slots = Slots::default();
     settle(journal, ledger, &timeline, &mut slots);
-    let judge = Judge { journal, ledger, timeline: &timeline, settled_at: slots.settled_at };
+    let syncs = Syncs::of(journal);
+    let judge = Judge { journal, ledger, timeline: &timeline, syncs, settled_at: slots.settled_at };
     for slot in journal.cluster.calendar.slots() {
         let mut from = 0;
         for window in windows(journal, &timeline, slot) {
@@ -174,6 +187,7 @@ struct Judge<'j> {
     journal: &'j Journal,
     ledger: &'j Ledger,
     timeline: &'j GlobalTimeline,
+    syncs: Syncs,
     settled_at: Option<VirtualInstant>,
 }
 
@@ -192,10 +206,12 @@ impl Judge<'_> {
         let sequence = carried.and_then(|frame| sequence_of(&frame));
         let channel = self.journal.cluster.channel(slot.etag);
         let mut nodes = channel.into_iter().flat_map(|it| it.subscribers.iter()).chain([&slot.publisher]);
-        let bus_off = nodes.any(|node| self.was_off(*node, &window));
+        let absent = nodes.any(|node| self.was_absent(*node, slot, &window));
         let fate = Fate::Settling;
-        let mut occurrence = Occurrence { slot, window, attempts, faulted, bus_off, sequence, fate };
-        if self.is_judged(slot, &window) {
+        let mut occurrence = Occurrence { slot, window, attempts, faulted, absent, sequence, fate };
+        if self.is_judged(slot, &window) && !self.syncs.give_common_time(self.timeline, window.ready) {
+            occurrence.fate = Fate::NoCommonTime;
+        } else if self.is_judged(slot, &window) {
             occurrence.fate = match sequence {
                 None => self.empty(&occurrence, slots),
                 Some(sequence) => self.carried(&occurrence, sequence, slots),
@@ -237,7 +253,7 @@ impl Judge<'_> {
             ExceptionKind::OmissionDegreeExceeded,
         ];
         let reason = reasons.into_iter().find(|kind| told(*kind));
-        if reason.is_some() && self.was_off(slot.publisher, window) {
+        if reason.is_some() && self.was_absent(slot.publisher, slot, window) {
             return Fate::Lost;
         }
         slots.violations.push(Violation::NotSent { ready: window.ready, etag: slot.etag, reason });
@@ -267,7 +283,11 @@ impl Judge<'_> {
                 }),
             }
         }
-        if !everywhere && occurrence.faulted > u32::from(slot.omission_degree) {
+        let in_time = |at: &usize| {
+            let attempt = &self.journal.bus.attempts()[*at];
+            attempt.ending == Ending::Sent && attempt.end <= occurrence.window.delivery
+        };
+        if !everywhere && !occurrence.attempts.iter().any(in_time) {
             self.publisher_must_know(occurrence, slots);
         }
         if slots.violations.len() > before {
@@ -303,11 +323,11 @@ impl Judge<'_> {
         let Occurrence { slot, window, faulted, .. } = occurrence;
         let (ready, etag) = (window.ready, slot.etag);
         let told = |kind| self.was_told(subscriber, slot, window, kind);
-        let off = self.was_off(subscriber, window) || self.was_off(slot.publisher, window);
-        if *faulted <= u32::from(slot.omission_degree) && !off {
+        let absent = [subscriber, slot.publisher].iter().any(|node| self.was_absent(*node, slot, window));
+        if *faulted <= u32::from(slot.omission_degree) && !absent {
             let faulted = *faulted;
             slots.violations.push(Violation::NotDelivered { ready, etag, subscriber, faulted });
-        } else if slot.periodic && !told(ExceptionKind::MissedEvent) {
+        } else if slot.periodic && !LOST_AT_SUBSCRIBER.into_iter().any(told) {
             let (node, kind) = (subscriber, ExceptionKind::MissedEvent);
             slots.violations.push(Violation::Silence { ready, etag, node, kind });
         }
@@ -322,9 +342,15 @@ impl Judge<'_> {
         }
     }
 
-    /// Returns whether the node was bus-off at some time in the window.
-    fn was_off(&self, node: TxNode, window: &Window) -> bool {
+    /// Returns whether the node was bus-off at some time in the window, or kept silent in it for want of a clock,
+    /// and had reason to.
+    fn was_absent(&self, node: TxNode, slot: &Slot, window: &Window) -> bool {
+        let silent = || {
+            let said = [ExceptionKind::ClockOutOfBound, ExceptionKind::SlotSkipped].into_iter();
+            said.into_iter().any(|kind| self.was_told(node, slot, window, kind))
+        };
         self.journal.was_off(node, window.ready, window.delivery)
+            || (silent() && self.syncs.were_disturbed(self.journal, node, window.delivery))
     }
 
     /// Returns whether the node was told of this between the ready instant and half a period after the
@@ -353,6 +379,7 @@ impl Judge<'_> {
         for (at, attempt) in self.journal.bus.attempts().iter().enumerate() {
             let ours = attempt.frame().is_some_and(|frame| belongs(slot, &frame));
             let judged = attempt.start > settled && last.is_some_and(|last| attempt.start < last);
+            let judged = judged && self.syncs.give_common_time(self.timeline, attempt.start);
             if ours && judged && attempt.ending != Ending::Open && !claimed.contains(&at) {
                 slots.violations.push(Violation::OutsideSlot { at: attempt.start, etag: slot.etag });
             }
@@ -365,5 +392,8 @@ fn belongs(slot: &Slot, frame: &Frame) -> bool {
     (id.priority(), id.tx_node(), id.etag()) == (Priority::HARD, slot.publisher, slot.etag)
 }
 
+/// By each of these a subscriber learns that it did not get an event.
+const LOST_AT_SUBSCRIBER: [ExceptionKind; 3] =
+    [ExceptionKind::MissedEvent, ExceptionKind::ClockOutOfBound, ExceptionKind::SlotSkipped];
 /// After so many periods without an exception the clocks are taken for synchronised.
 const CALM_PERIODS: u32 = 5;

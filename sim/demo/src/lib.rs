@@ -7,7 +7,7 @@
 //! | [`record`], [`bus_log`], [`clock`] | what can be observed: records of the nodes, frames on the wire, time |
 //! | [`journal`], [`ledger`] | what is left of a run, and the life of each event |
 //! | [`run`], [`progress`] | the run itself, what it says meanwhile |
-//! | [`hard`], [`order`], [`verdict`], [`violation`] | the judgement: slots, order of deadlines, losses against exceptions |
+//! | [`hard`], [`order`], [`sync`], [`verdict`], [`violation`] | the judgement: slots, order of deadlines, lost clocks, losses against exceptions |
 //! | [`report`], [`table`], [`picture`] | what is shown of it |
 //!
 //! The judge trusts no node: windows follow from the calendar and the sync frames on the wire, instants from
@@ -28,6 +28,7 @@ pub mod record;
 pub mod report;
 pub mod run;
 pub mod span;
+pub mod sync;
 pub mod table;
 pub mod verdict;
 pub mod violation;

@@ -121,12 +121,15 @@ pub struct SlotReport {
     pub delivered: usize,
     /// Slots in which at least one attempt was destroyed.
     pub with_faults: usize,
-    /// Slots in which more attempts were destroyed than the omission degree, or a node was bus-off.
+    /// Slots in which more attempts were destroyed than the omission degree, or a node was bus-off or
+    /// without the time of the cluster.
     pub beyond_hypothesis: usize,
     /// Slots whose event was lost, beyond the hypothesis and reported.
     pub lost: usize,
     /// Slots for which nothing had been published.
     pub unused: usize,
+    /// Slots that were not judged, because the cluster had no common time.
+    pub without_time: usize,
     /// Delivery less delivery instant of the calendar.
     pub deviation_us: Option<Range>,
     /// The earliest and the latest that is allowed.
@@ -308,13 +311,13 @@ fn subscriber(
 
 /// The ready instant of the first slot that is judged.
 fn judged_from(verdict: &Verdict) -> Option<VirtualInstant> {
-    let first = verdict.slots.occurrences.iter().find(|it| it.fate != Fate::Settling)?;
+    let first = verdict.slots.occurrences.iter().find(|it| it.fate.is_judged())?;
     Some(first.window.ready)
 }
 
 fn slots(journal: &Journal, verdict: &Verdict) -> SlotReport {
-    let judged = || verdict.slots.occurrences.iter().filter(|it| it.fate != Fate::Settling);
-    let with = |fate| judged().filter(|it| it.fate == fate).count();
+    let judged = || verdict.slots.occurrences.iter().filter(|it| it.fate.is_judged());
+    let with = |fate| verdict.slots.occurrences.iter().filter(|it| it.fate == fate).count();
     SlotReport {
         judged: judged().count(),
         delivered: with(Fate::Delivered),
@@ -322,6 +325,7 @@ fn slots(journal: &Journal, verdict: &Verdict) -> SlotReport {
         beyond_hypothesis: judged().filter(|it| it.is_beyond_hypothesis()).count(),
         lost: with(Fate::Lost),
         unused: with(Fate::Unused),
+        without_time: with(Fate::NoCommonTime),
         deviation_us: verdict.slots.deviation.range(),
         allowed_us: hard::bounds(journal),
     }

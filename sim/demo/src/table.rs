@@ -164,6 +164,10 @@ impl Tables<'_> {
             slots.beyond_hypothesis
         );
         wrap(f, &line)?;
+        if slots.without_time > 0 {
+            let count = counted(slots.without_time as u64, "slot");
+            wrap(f, &format!("{count} not judged: the time master had changed, or could not be heard."))?;
+        }
         let (early, late) = slots.allowed_us;
         if let Some(off) = slots.deviation_us {
             let line = format!(
@@ -200,7 +204,10 @@ impl Tables<'_> {
                 self.paint(Colour::Green, "PASSED: all as promised, and every loss was reported.")
             )
         } else {
-            let text = format!("FAILED: {}.", counted(report.violations.len() as u64, "violation"));
+            let text = match (report.slots.judged, report.violations.len()) {
+                (0, 1) => "FAILED: nothing could be judged.".to_owned(),
+                (_, count) => format!("FAILED: {}.", counted(count as u64, "violation")),
+            };
             writeln!(f, "{}", self.paint(Colour::Red, &text))
         }
     }

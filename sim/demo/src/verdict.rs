@@ -5,7 +5,7 @@ use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::time::Duration;
 
 use crate::example::{Channel, Promise};
-use crate::hard::{self, Fate, Slots};
+use crate::hard::{self, Slots};
 use crate::journal::Journal;
 use crate::ledger::{Account, Ledger, Life};
 use crate::order::{self, Order};
@@ -53,8 +53,8 @@ impl Verdict {
         let slots = hard::judge(journal, &ledger);
         let order = order::judge(journal, &ledger);
         let mut violations = slots.violations.clone();
-        if slots.occurrences.iter().all(|it| it.fate == Fate::Settling) {
-            violations.push(Violation::NothingJudged);
+        if !slots.occurrences.iter().any(|it| it.fate.is_judged()) {
+            violations.push(Violation::NothingJudged { destroyed: destroyed(journal) });
         }
         let digest = journal.cluster.calendar.digest();
         let terms = journal.timeline();
@@ -75,6 +75,12 @@ impl Verdict {
     pub fn is_passed(&self) -> bool {
         self.violations.is_empty()
     }
+}
+
+/// Attempts that were destroyed, and all.
+fn destroyed(journal: &Journal) -> (usize, usize) {
+    let attempts = journal.bus.attempts();
+    (attempts.iter().filter(|attempt| attempt.has_failed()).count(), attempts.len())
 }
 
 /// Bus-offs of nodes without an exception soon after.

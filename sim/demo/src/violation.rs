@@ -14,7 +14,10 @@ use crate::span::Span;
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub enum Violation {
     /// No hard real-time slot could be judged before the run ended.
-    NothingJudged,
+    NothingJudged {
+        /// Attempts to send a frame that were destroyed, and all attempts.
+        destroyed: (usize, usize),
+    },
     /// The images carry another calendar than the judge.
     OtherCalendar {
         /// The digest of the images' calendar.
@@ -143,10 +146,14 @@ impl Violation {
         let slot =
             |etag: &Etag, ready: &VirtualInstant| format!("{} at {}", channel(etag), milliseconds(*ready));
         match self {
-            Self::NothingJudged => {
-                "no HRT slot before the end in which clocks were synchronised and something \
-                                    was published: let it run longer (--seconds)"
-                    .into()
+            Self::NothingJudged { destroyed: (destroyed, attempts) } => {
+                let most = destroyed * 2 > *attempts;
+                let remedy = if most { "with fewer errors (--errors)" } else { "longer (--seconds)" };
+                format!(
+                    "nothing could be judged: there was no HRT slot in which clocks were synchronised and something \
+                     was published, and {destroyed} of {} to send a frame were destroyed; let it run {remedy}",
+                    counted(*attempts as u64, "attempt")
+                )
             }
             Self::OtherCalendar { digest } => {
                 format!("the images carry another calendar ({digest:08X}) than the demo: build both again")

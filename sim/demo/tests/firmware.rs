@@ -99,6 +99,35 @@ fn a_burst_beyond_the_omission_degree_is_reported_at_publisher_and_subscribers()
     assert!(printed.contains("omission degree exceeded"), "{printed}");
 }
 
+#[test]
+fn the_promise_is_kept_at_any_error_rate() {
+    for rate in ["0", "0.05", "0.2", "0.3", "0.5", "0.7", "0.8"] {
+        for (seed, load) in [("1", "60"), ("2", "100")] {
+            let arguments = ["--seconds", "1.5", "--errors", rate, "--seed", seed, "--load", load];
+            let scratch = Scratch::new("rates");
+            let printed = text(&demo(&images(), &arguments, &scratch.0, None).stdout);
+            // From here on the clocks may not come together at all, which is no fault of the nodes.
+            let is_hopeless = rate == "0.8" && printed.contains(NOT_JUDGED);
+            assert!(printed.contains("PASSED") || is_hopeless, "{rate}, seed {seed}, load {load}: {printed}");
+        }
+    }
+}
+
+#[test]
+fn a_bus_that_carries_nothing_is_said_to() {
+    let scratch = Scratch::new("nothing");
+    let output = demo(&images(), &["--seconds", "1", "--errors", "1"], &scratch.0, None);
+    let printed = text(&output.stdout);
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert!(
+        printed.contains("with fewer errors") && printed.contains("nothing could be judged"),
+        "{printed}"
+    );
+}
+
+/// The one thing that may be wrong with a run in which the nodes did what they could.
+const NOT_JUDGED: &str = "FAILED: nothing could be judged.";
+
 /// It must not run, say why in one line, and leave nothing.
 fn refused(output: &Output, names: &str) {
     let errors = text(&output.stderr);

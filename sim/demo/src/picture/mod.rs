@@ -60,7 +60,7 @@ pub fn draw(settings: &Settings, journal: &Journal, verdict: &Verdict) -> String
 
 /// The slot that tells most.
 fn focus<'v>(journal: &Journal, verdict: &'v Verdict) -> Option<&'v Occurrence> {
-    let judged = || verdict.slots.occurrences.iter().filter(|it| it.fate != Fate::Settling);
+    let judged = || verdict.slots.occurrences.iter().filter(|it| it.fate.is_judged());
     let with = |fate| judged().find(|it| it.fate == fate);
     let faulted = || judged().find(|it| it.faulted > 0);
     let near_error = || {
@@ -108,6 +108,7 @@ fn caption(journal: &Journal, occurrence: &Occurrence) -> String {
     };
     let outcome = match occurrence.fate {
         Fate::Settling => "clocks not synchronised",
+        Fate::NoCommonTime => "no common time",
         Fate::Delivered => "delivered at its instant all the same",
         Fate::Unused => "nothing was published",
         Fate::Lost => "lost, and publisher and subscribers were told",
