@@ -34,4 +34,4 @@ pub mod stm32f4;
 #[cfg(target_arch = "arm")]
 pub use stm32f4::Stm32F405;
 #[cfg(target_arch = "arm")]
-pub use stm32f4xx_hal::pac;
+pub use stm32f4xx_hal::{self as hal, pac};

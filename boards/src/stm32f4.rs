@@ -1,7 +1,8 @@
 //! Boards with an STM32F405 or STM32F407 and an 8 MHz crystal.
 //!
 //! The core runs at 168 MHz, APB1 with CAN1 at 42 MHz, the timers behind it at 84 MHz. CAN1 is on PB8
-//! (receive) and PB9 (transmit); a transceiver is needed. PB12 to PB15 are measuring points.
+//! (receive) and PB9 (transmit); a transceiver is needed. PB12 to PB15 are measuring points. All other pins and
+//! peripherals are the application's.
 //!
 //! | pin | use |
 //! |---|---|
@@ -18,7 +19,7 @@ use rtic_monotonics::Timebase as _;
 use rtic_monotonics::stm32::Priority;
 use stm32f4xx_hal::gpio::{GpioExt as _, Output, Pin};
 use stm32f4xx_hal::pac;
-use stm32f4xx_hal::rcc::{Config, Enable as _, RccExt as _, Reset as _};
+use stm32f4xx_hal::rcc::{Config, Enable as _, Rcc, RccExt as _, Reset as _};
 use stm32f4xx_hal::time::Hertz;
 
 use crate::bit_timing::BitTiming;
@@ -49,6 +50,41 @@ pub struct Stm32F405 {
     pub bus: BusStatus,
     /// Pins for an oscilloscope, for whoever takes them.
     pub points: Option<MeasuringPoints>,
+    /// The pins of port B that the board does not use.
+    pub pins: FreePins,
+    /// Switches the clocks of further peripherals on, as their drivers in [`hal`](crate::hal) want it.
+    pub rcc: Rcc,
+}
+
+/// What a board takes of the chip: [`resources!`](crate::resources) takes it. All else is the application's.
+pub struct Resources {
+    /// Clocks.
+    pub rcc: pac::RCC,
+    /// The port of the CAN pins and of the measuring points.
+    pub port: pac::GPIOB,
+    /// The CAN controller.
+    pub can: pac::CAN1,
+    /// The monotonic timer.
+    pub timer: pac::TIM2,
+}
+
+/// Takes from the peripherals, such as `cx.device` in RTIC's `init`, what a board needs: its [`Resources`]. The others
+/// stay where they are.
+///
+/// ```ignore
+/// let mut board = Stm32F405::start(boards::resources!(cx.device), &NODE)?;
+/// let led = cx.device.GPIOD.split(&mut board.rcc).pd12.into_push_pull_output();
+/// ```
+#[macro_export]
+macro_rules! resources {
+    ($peripherals:expr) => {
+        $crate::stm32f4::Resources {
+            rcc: $peripherals.RCC,
+            port: $peripherals.GPIOB,
+            can: $peripherals.CAN1,
+            timer: $peripherals.TIM2,
+        }
+    };
 }
 
 /// What a board is brought up with.
@@ -75,10 +111,10 @@ impl Stm32F405 {
     ///
     /// # Errors
     /// As [`new`](Self::new).
-    pub fn start(device: pac::Peripherals, node: &NodePlan) -> Result<Self, BoardError> {
+    pub fn start(resources: Resources, node: &NodePlan) -> Result<Self, BoardError> {
         let bit_rate = node.calendar.segment().bit_rate;
         let settings = Settings { bit_rate, filters: node.filters.iter() };
-        Self::new(device, settings, Priority::new(CALENDAR_PRIORITY))
+        Self::new(resources, settings, Priority::new(CALENDAR_PRIORITY))
     }
 
     /// Sets the clocks, starts the timer, and joins the bus.
@@ -93,7 +129,7 @@ impl Stm32F405 {
     /// # Errors
     /// If the settings ask for what the controller cannot do.
     pub fn new<'a>(
-        device: pac::Peripherals,
+        resources: Resources,
         settings: Settings<impl Iterator<Item = &'a FilterBank>>,
         timer: Priority,
     ) -> Result<Self, BoardError> {
@@ -102,10 +138,12 @@ impl Stm32F405 {
             .sysclk(Hertz::from_raw(CORE))
             .pclk1(Hertz::from_raw(APB1))
             .pclk2(Hertz::from_raw(APB2));
-        let mut rcc = device.RCC.freeze(clocks);
+        // The timer is given up for `Mono`, which reaches it by itself.
+        let Resources { rcc, port, can: _, timer: _ } = resources;
+        let mut rcc = rcc.freeze(clocks);
         Mono::start(rcc.clocks.timclk1().raw(), timer);
 
-        let port = device.GPIOB.split(&mut rcc);
+        let port = port.split(&mut rcc);
         let points = MeasuringPoints {
             calendar: MeasuringPoint { pin: port.pb12.into_push_pull_output() },
             published: MeasuringPoint { pin: port.pb13.into_push_pull_output() },
@@ -115,14 +153,25 @@ impl Stm32F405 {
 
         // The pins keep their function when their types are dropped.
         let _ = (port.pb8.into_alternate::<9>(), port.pb9.into_alternate::<9>());
+        let pins = FreePins {
+            pb0: port.pb0,
+            pb1: port.pb1,
+            pb2: port.pb2,
+            pb5: port.pb5,
+            pb6: port.pb6,
+            pb7: port.pb7,
+            pb10: port.pb10,
+            pb11: port.pb11,
+        };
         pac::CAN1::enable(&mut rcc);
         pac::CAN1::reset(&mut rcc);
-        // SAFETY: the registers of CAN1 are there for good, and `device.CAN1` was given up for them.
+        // SAFETY: the registers of CAN1 are there for good, and `Resources::can` was given up for them.
         let mut can = unsafe { Controller::new(pac::CAN1::ptr().cast_mut().cast()) };
         can.set_up(timing, settings.filters).map_err(|_| BoardError::Filters)?;
         can.join();
         let Parts { hard, soft, non_real_time, outcomes, urgent, other, changes, bus } = can.split();
-        Ok(Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, points: Some(points) })
+        let points = Some(points);
+        Ok(Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, points, pins, rcc })
     }
 }
 
@@ -153,9 +202,22 @@ impl Board for Stm32F405 {
     }
 
     fn split(self) -> BoardParts<Self> {
-        let Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, points: _ } = self;
+        let Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, .. } = self;
         BoardParts { hard, soft, non_real_time, outcomes, urgent, other, status: bus, changes }
     }
+}
+
+/// Pins of port B for the application, as they are after a reset. (PB3 and PB4 belong to the debug port.)
+#[allow(missing_docs, reason = "the names say which")]
+pub struct FreePins {
+    pub pb0: Pin<'B', 0>,
+    pub pb1: Pin<'B', 1>,
+    pub pb2: Pin<'B', 2>,
+    pub pb5: Pin<'B', 5>,
+    pub pb6: Pin<'B', 6>,
+    pub pb7: Pin<'B', 7>,
+    pub pb10: Pin<'B', 10>,
+    pub pb11: Pin<'B', 11>,
 }
 
 /// Pins that show on an oscilloscope what the node does. Each changes when the event occurs.

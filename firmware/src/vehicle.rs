@@ -1,7 +1,7 @@
 //! A node of the vehicle: its board, its size, and the observer who shows what happens.
 
-use boards::stm32f4::{MeasuringPoint, MeasuringPoints};
-use boards::{Stm32F405, pac};
+use boards::Stm32F405;
+use boards::stm32f4::{MeasuringPoint, MeasuringPoints, Resources};
 use cosmic_core::event_layer::{Channel, Delivered, Exception, PublishError};
 use cosmic_core::plan::NodePlan;
 use cosmic_core::services::ClockService;
@@ -23,13 +23,9 @@ impl System for Vehicle {
 }
 
 /// Brings up the node of this plan. For RTIC's `init`; a mistake in the settings ends there, with a log.
-pub fn start(
-    device: pac::Peripherals,
-    plan: NodePlan,
-    storage: &'static mut Storage<Vehicle>,
-) -> Parts<Vehicle> {
+pub fn start(resources: Resources, plan: NodePlan, storage: &'static mut Storage<Vehicle>) -> Parts<Vehicle> {
     let records = Records::start();
-    let mut board = match Stm32F405::start(device, &plan) {
+    let mut board = match Stm32F405::start(resources, &plan) {
         Ok(board) => board,
         Err(error) => defmt::panic!("the board cannot be brought up: {}", defmt::Debug2Format(&error)),
     };

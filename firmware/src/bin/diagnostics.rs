@@ -42,7 +42,8 @@ mod app {
 
     #[init(local = [storage: Storage<Vehicle> = Storage::new()])]
     fn init(context: init::Context) -> (Shared, Local) {
-        let parts = start(context.device, nodes::diagnostics::NODE, context.local.storage);
+        let parts =
+            start(boards::resources!(context.device), nodes::diagnostics::NODE, context.local.storage);
         let Parts { calendar, urgent, outcomes, status, other, events, node } = parts;
         let spawned = [
             calendar::spawn(),

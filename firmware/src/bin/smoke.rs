@@ -43,7 +43,8 @@ mod app {
     fn init(context: init::Context) -> (Shared, Local) {
         let _records = firmware::records::Records::start();
         let settings = Settings { bit_rate: BitRate::MAX, filters: FILTERS.iter() };
-        let Ok(board) = Stm32F405::new(context.device, settings, TimerPriority::new(5)) else {
+        let Ok(board) = Stm32F405::new(boards::resources!(context.device), settings, TimerPriority::new(5))
+        else {
             defmt::panic!("the settings ask for what the board cannot do");
         };
         let points = defmt::unwrap!(board.points);
