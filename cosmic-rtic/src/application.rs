@@ -1,5 +1,6 @@
 //! What an application calls. Each call locks the node for its own time only.
 
+use core::convert::Infallible;
 use core::future::poll_fn;
 use core::marker::PhantomData;
 use core::task::{Poll, Waker};
@@ -138,25 +139,86 @@ pub async fn next_exception<T: System>(node: &mut impl Mutex<T = Node<T>>) -> Ex
 
 /// Waits until this node knows the time of the cluster, without which it takes no part in hard real-time.
 pub async fn synchronised<T: System>(node: &mut impl Mutex<T = Node<T>>) {
-    let is_synchronised = |node: &mut Node<T>| node.clock().is_synchronised(T::Board::now());
-    let period = node.lock(|node| node.sync_period());
-    while !node.lock(is_synchronised) {
-        T::Board::delay_until(T::Board::now() + period).await;
-    }
+    synchronised_since(node).await;
 }
 
 /// Waits until this node knows the time of the cluster, and all nodes that were switched on with it do: they may
 /// have missed the first frames of the time master. What is published before may be lost.
 pub async fn settled<T: System>(node: &mut impl Mutex<T = Node<T>>) {
-    synchronised(node).await;
+    let since = synchronised_since(node).await;
     let period = node.lock(|node| node.sync_period());
-    T::Board::delay_until(T::Board::now() + period * FRAMES_TO_SETTLE).await;
+    T::Board::delay_until(since + period * FRAMES_TO_SETTLE).await;
+}
+
+/// Waits until this node knows the time of the cluster; returns when it was first seen to.
+async fn synchronised_since<T: System>(node: &mut impl Mutex<T = Node<T>>) -> Instant {
+    let period = node.lock(|node| node.sync_period());
+    loop {
+        let now = T::Board::now();
+        if let Some(since) = node.lock(|node| node.synchronised_since(now)) {
+            return since;
+        }
+        T::Board::delay_until(now + period).await;
+    }
 }
 
 /// Waits until `lead` before the next slot: the time to publish what the slot is to carry.
 pub async fn before_slot<T: System>(slot: &Slot, lead: Duration, node: &mut impl Mutex<T = Node<T>>) {
     let instant = node.lock(|node| node.before_slot(slot, lead, T::Board::now()));
     T::Board::delay_until(instant).await;
+}
+
+/// Publishes an event in each slot of a hard real-time channel, for ever: `next` makes it, `lead` before the slot.
+/// Starts when the clocks are [settled], and announces the channel then. An event that is not published is counted,
+/// and the observer is told.
+///
+/// # Errors
+/// Only if the channel cannot be announced.
+pub async fn publish_in_slots<T, C, N>(
+    channel: &Channel<C>,
+    slot: &Slot,
+    lead: Duration,
+    node: &mut N,
+    mut next: impl FnMut(&mut N) -> C,
+) -> Result<Infallible, AnnounceError>
+where
+    T: System<Observer: Observes<C>>,
+    C: Content,
+    N: Mutex<T = Node<T>>,
+{
+    settled(node).await;
+    before_slot(slot, lead, node).await;
+    let publisher = Publisher::announce(channel, node)?;
+    loop {
+        let content = next(node);
+        let _ = publisher.publish(content, node);
+        before_slot(slot, lead, node).await;
+    }
+}
+
+/// Announces a channel and publishes an event in each period, for ever: `next` makes it. An event that is not
+/// published is counted, and the observer is told.
+///
+/// # Errors
+/// Only if the channel cannot be announced.
+pub async fn publish_every<T, C, N>(
+    channel: &Channel<C>,
+    period: Duration,
+    node: &mut N,
+    mut next: impl FnMut(&mut N) -> C,
+) -> Result<Infallible, AnnounceError>
+where
+    T: System<Observer: Observes<C>>,
+    C: Content,
+    N: Mutex<T = Node<T>>,
+{
+    let publisher = Publisher::announce(channel, node)?;
+    let mut ticker = Ticker::<T::Board>::every(period);
+    loop {
+        ticker.tick().await;
+        let content = next(node);
+        let _ = publisher.publish(content, node);
+    }
 }
 
 /// Instants at a constant distance, on the clock of a board.

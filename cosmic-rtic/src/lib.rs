@@ -41,7 +41,10 @@ mod start;
 mod system;
 mod tasks;
 
-pub use application::{Publisher, Subscriber, Ticker, before_slot, next_exception, settled, synchronised};
+pub use application::{
+    Publisher, Subscriber, Ticker, before_slot, next_exception, publish_every, publish_in_slots, settled,
+    synchronised,
+};
 pub use board::Board;
 pub use hard::Hard;
 pub use node::Node;
@@ -54,12 +57,23 @@ pub use tasks::{Calendar, Events, Other, Outcomes, Status, Urgent};
 /// wait for a task that it wakes, and everybody reads the clock.
 pub const CALENDAR_PRIORITY: u8 = 7;
 
+/// Spawns tasks of an RTIC app in its `init`, each once, with what it is handed: `spawn!(events(events), watch());`.
+#[macro_export]
+macro_rules! spawn {
+    ($($task:ident($($part:expr),*)),+ $(,)?) => {
+        // There is room for each task once.
+        $(::core::assert!($task::spawn($($part),*).is_ok(), "the task is spawned already");)+
+    };
+}
+
 /// What an application needs, to be imported as a whole.
 pub mod prelude {
     pub use crate::{
         Board, Calendar, Events, Node, Other, Outcomes, Parts, Publisher, Status, Storage, Subscriber,
-        System, Ticker, Urgent, before_slot, next_exception, settled, synchronised,
+        System, Ticker, Urgent, before_slot, next_exception, publish_every, publish_in_slots, settled, spawn,
+        synchronised,
     };
     pub use cosmic_core::event_layer::{Depth, Policy};
     pub use cosmic_core::time::Duration;
+    pub use rtic_core::Mutex;
 }

@@ -32,6 +32,8 @@ pub struct Node<T: System> {
     pub(crate) wake: SignalWriter<'static, ()>,
     pub(crate) wake_calendar: SignalWriter<'static, ()>,
     pub(crate) sync_period: Duration,
+    /// When the clock was first seen to be synchronised, if it is.
+    pub(crate) synchronised_since: Option<Instant>,
     pub(crate) observer: T::Observer,
 }
 
@@ -65,10 +67,11 @@ impl<T: System> Node<T> {
     /// The next instant that is `lead` before a slot of the calendar is ready, in local time.
     pub fn before_slot(&self, slot: &Slot, lead: Duration, now: Instant) -> Instant {
         let clock = self.clock();
-        let period = slot.period.as_ticks().max(1);
         let from = clock.to_global(now + lead).since_epoch().as_ticks();
-        let since_phase = from.saturating_sub(slot.phase.as_ticks());
-        let ready = slot.phase.as_ticks() + (since_phase / period + 1) * period;
+        let phase = slot.phase.as_ticks();
+        let period = slot.period.as_ticks().max(1);
+        let slots_before = from.checked_sub(phase).map_or(0, |since_phase| since_phase / period + 1);
+        let ready = phase + slots_before * period;
         let ready = GlobalInstant::from_epoch(Duration::from_ticks(ready));
         clock.to_local(ready).saturating_sub(lead)
     }
@@ -103,6 +106,13 @@ impl<T: System> Node<T> {
     /// How many exceptions of a kind there were. Wraps.
     pub fn exceptions(&self, kind: ExceptionKind) -> u32 {
         self.half.exceptions(kind)
+    }
+
+    /// Since when the clock is known to be synchronised: the first call that found it so. `None` if it is not.
+    pub(crate) fn synchronised_since(&mut self, now: Instant) -> Option<Instant> {
+        let since = self.synchronised_since.unwrap_or(now);
+        self.synchronised_since = self.clock().is_synchronised(now).then_some(since);
+        self.synchronised_since
     }
 
     pub(crate) fn announce<C: Content>(

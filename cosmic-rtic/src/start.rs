@@ -115,6 +115,7 @@ pub fn start_with<T: System>(
             wake: ends.wake,
             wake_calendar: ends.wake_calendar,
             sync_period: plan.sync.map_or(Duration::from_ticks(0), |sync| sync.period),
+            synchronised_since: None,
             observer,
         },
     }

@@ -6,12 +6,13 @@ use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 
 use cosmic_core::Subject;
-use cosmic_core::calendar::{Calendar, Segment};
+use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{
     BitRate, ErrorCounters, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode,
 };
-use cosmic_core::event_layer::{Channel, Exception, ExceptionKind};
-use cosmic_core::event_layer::{Delivered, Depth, Policy, PublishError, SoftAttributes};
+use cosmic_core::event_layer::{
+    Channel, Delivered, Depth, Exception, ExceptionKind, HardAttributes, Policy, PublishError, SoftAttributes,
+};
 use cosmic_core::plan::NodePlan;
 use cosmic_core::time::{Duration, Instant};
 use cosmic_core::uid::NodeUid;
@@ -106,7 +107,7 @@ impl Board for Bench {
 }
 
 cosmic_core::capacity! {
-    Room { slots: 2, channels: 4, subscriptions: 4, events: 8, soft: 4, non_real_time: 4 }
+    Room { slots: 2, channels: 4, subscriptions: 4, events: 8, soft: 8, non_real_time: 8 }
 }
 
 struct Tested;
@@ -132,7 +133,10 @@ impl Observer for Notes {
 
 impl Observes<u16> for Notes {
     fn published(&mut self, _: &Channel<u16>, content: &u16, _: Instant, result: Result<(), PublishError>) {
-        self.0.push(format!("published {content} {}", result.is_ok()));
+        self.0.push(match result {
+            Ok(()) => format!("published {content}"),
+            Err(error) => format!("refused {content}: {error:?}"),
+        });
     }
 
     fn delivered(&mut self, _: &Channel<u16>, event: &Delivered<u16>, _: Instant) {
@@ -145,7 +149,19 @@ const SEGMENT: Segment = Segment {
     accuracy: Duration::from_micros(50),
     release_jitter: Duration::from_micros(20),
 };
-static CALENDAR: Calendar = Calendar::checked(SEGMENT, Duration::from_millis(10), &[]);
+static CALENDAR: Calendar = Calendar::checked(
+    SEGMENT,
+    Duration::from_millis(10),
+    &[Slot {
+        etag: Etag::HARD_FIRST,
+        publisher: OWN,
+        len: 2,
+        omission_degree: 1,
+        periodic: true,
+        period: Duration::from_millis(10),
+        phase: Duration::from_millis(2),
+    }],
+);
 const OWN: TxNode = TxNode::new(3).unwrap();
 const OTHER: TxNode = TxNode::new(4).unwrap();
 const ETAG: Etag = Etag::new(2_000).unwrap();
@@ -196,6 +212,11 @@ fn exceptions(node: &RefCell<Node<Tested>>, kind: ExceptionKind) -> u32 {
     node.borrow().exceptions(kind)
 }
 
+/// Lets a task of the application run until it waits.
+fn run(task: std::pin::Pin<&mut impl Future>) {
+    assert!(task.poll(&mut Context::from_waker(Waker::noop())).is_pending());
+}
+
 fn frame(number: u16) -> Frame {
     let payload = Payload::new(&number.to_be_bytes()).unwrap();
     Frame::new(Id::new(Priority::new(100), OTHER, ETAG), payload)
@@ -216,7 +237,7 @@ fn published_events_take_turns_in_the_mailbox() {
     run_events(&mut events, &node);
     let loaded = LOADED.take();
     assert_eq!((loaded[0].0, loaded[0].1.payload.as_slice()), (Mailbox::Soft, &[0, 2][..]));
-    assert_eq!(notes(&node), ["published 1 true", "published 2 true"]);
+    assert_eq!(notes(&node), ["published 1", "published 2"]);
 }
 
 #[test]
@@ -275,4 +296,56 @@ fn each_bus_off_becomes_an_exception() {
     };
     assert_eq!(exception.kind, ExceptionKind::BusOff);
     assert_eq!(notes(&node), ["BusOff"]);
+}
+
+#[test]
+fn an_event_in_each_period() {
+    let Parts { node, .. } = parts();
+    let node = RefCell::new(node);
+    let mut resource = Resource(&node);
+    let mut numbers = 1..;
+    let count = |_: &mut Resource<'_>| numbers.next().unwrap();
+    let mut task = pin!(cosmic_rtic::publish_every(&HEAT, Duration::from_micros(10), &mut resource, count));
+    for (now, expected) in [
+        (0, &[][..]),
+        (9_999, &[]),
+        (10_000, &["published 1"]),
+        // Two instants late: both events, at once.
+        (30_000, &["published 2", "published 3"]),
+    ] {
+        NOW.set(now);
+        run(task.as_mut());
+        assert_eq!(notes(&node), expected, "at {now}");
+    }
+    LOADED.take();
+}
+
+/// The channel is announced before its first slot and not earlier, since a slot without an event is an error.
+#[test]
+fn an_event_before_each_slot() {
+    const SLOT: Slot = CALENDAR.slots()[0];
+    const SPEED: Channel<u16> = Channel::hard(
+        Subject::new(0xC4).unwrap(),
+        SLOT.etag,
+        HardAttributes { period: SLOT.period, periodic: true, omission_degree: 1 },
+    );
+    let Parts { node, .. } = parts();
+    let node = RefCell::new(node);
+    let mut resource = Resource(&node);
+    let mut numbers = 1..;
+    let count = |_: &mut Resource<'_>| numbers.next().unwrap();
+    let lead = Duration::from_micros(300);
+    let mut task = pin!(cosmic_rtic::publish_in_slots(&SPEED, &SLOT, lead, &mut resource, count));
+    for (now, expected) in [
+        (0, &[][..]),
+        (1_699_999, &[]),
+        (1_700_000, &["published 1"]),
+        (11_699_999, &[]),
+        (11_700_000, &["published 2"]),
+    ] {
+        NOW.set(now);
+        run(task.as_mut());
+        assert_eq!(notes(&node), expected, "at {now}");
+        assert_eq!(node.borrow().channel_counters(SPEED.subject()).is_some(), now >= 1_700_000);
+    }
 }

@@ -116,6 +116,19 @@ mod tests {
         assert!(manifest.contains(&format!("{}/cosmic-rtic\"", workspace.root().display())), "{manifest}");
     }
 
+    /// What the documentation promises: all of an application, in so many lines.
+    #[test]
+    fn an_application_has_at_most_60_lines() {
+        let scratch = Scratch::new("lines");
+        make(&Workspace::find().unwrap(), &scratch.0).unwrap();
+        let applications: Vec<_> = fs::read_dir(scratch.0.join("src/bin")).unwrap().flatten().collect();
+        assert!(applications.len() >= 2);
+        for application in applications {
+            let lines = fs::read_to_string(application.path()).unwrap().lines().count();
+            assert!(lines <= 60, "{} has {lines} lines", application.path().display());
+        }
+    }
+
     #[test]
     fn what_is_there_is_not_overwritten() {
         let scratch = Scratch::new("taken");

@@ -1,9 +1,14 @@
-//! What the nodes of the robot share: the plan, and the contents of its channels.
+//! What the nodes of the robot share: the plan, the contents of its channels, and how a node is brought up.
 #![no_std]
 
-use boards::Stm32F405;
-use cosmic_core::event_layer::Channel;
+pub use boards::Stm32F405;
+use cosmic_core::event_layer::{Channel, Content, Exception, PublishError};
+use cosmic_core::plan::NodePlan;
 use cosmic_core::services::ClockService;
+use cosmic_core::time::Instant;
+pub use cosmic_rtic::prelude::*;
+use cosmic_rtic::{Observer, Observes};
+use panic_probe as _;
 
 use plan::channels;
 
@@ -17,8 +22,52 @@ impl cosmic_rtic::System for Robot {
     type Board = Stm32F405;
     type Capacity = plan::Capacities;
     type Services = ClockService;
-    type Observer = ();
+    type Observer = Log;
 }
+
+/// Brings the board up that a node of the plan runs on, with its log.
+pub fn board(resources: boards::stm32f4::Resources, node: &NodePlan) -> Stm32F405 {
+    rtt_target::rtt_init_defmt!();
+    Stm32F405::start(resources, node).expect("the plan fits the board")
+}
+
+/// Starts the node.
+pub fn start(board: Stm32F405, node: &NodePlan, storage: &'static mut Storage<Robot>) -> Parts<Robot> {
+    cosmic_rtic::start_observed(board, node, storage, Log, ()).expect("the plan has a clock")
+}
+
+/// Logs what goes wrong.
+pub struct Log;
+
+impl Observer for Log {
+    type Calendar = ();
+
+    fn exception(&mut self, exception: &Exception) {
+        defmt::warn!("{}", exception);
+    }
+}
+
+impl<C: Content> Observes<C> for Log {
+    fn published(&mut self, channel: &Channel<C>, _: &C, _: Instant, result: Result<(), PublishError>) {
+        if let Err(error) = result {
+            defmt::warn!("an event of {} was not published: {}", channel.subject(), error);
+        }
+    }
+}
+
+/// Takes one exception after the other, so that the log hears of it.
+pub async fn report_exceptions(mut node: impl Mutex<T = Node<Robot>>) {
+    loop {
+        next_exception(&mut node).await;
+    }
+}
+
+/// A hard real-time event is published this long before its slot.
+pub const LEAD: Duration = Duration::from_micros(300);
+/// Events that wait for a subscriber.
+pub const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
+/// Why a channel can be announced and subscribed to.
+pub const PLANNED: &str = "the plan has the channel";
 
 cosmic_core::content! {
     /// Where the joint is, in thousandths of a degree.
