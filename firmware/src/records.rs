@@ -15,11 +15,12 @@
 //! Instants are nanoseconds of the node's local time. An event becomes visible when its frame has been
 //! received, and a hard real-time event at its delivery instant.
 
+use cortex_m::singleton;
 use cosmic_core::can::Etag;
 use cosmic_core::event_half::Delivered;
 use cosmic_core::event_layer::{Channel, Exception};
 use cosmic_core::time::Instant;
-use rtt_target::{ChannelMode, UpChannel};
+use cosmic_rtt::Channel as UpChannel;
 
 use crate::cluster::{self, Sequenced};
 
@@ -49,16 +50,14 @@ enum Kind {
 }
 
 impl Records {
-    /// Sets up RTT for logs and records; once, first thing in `init`.
-    pub fn start() -> Self {
-        let channels = rtt_target::rtt_init! {
-            up: {
-                0: { size: 2048, mode: ChannelMode::NoBlockSkip, name: "defmt" }
-                1: { size: 6144, mode: ChannelMode::NoBlockSkip, name: "records" }
-            }
-        };
-        rtt_target::set_defmt_channel(channels.up.0);
-        Self { channel: channels.up.1, lost: 0 }
+    /// Sets up RTT for logs and records; once, first thing in `init`. Tasks up to the priority `logs_at_most` may
+    /// log.
+    pub fn start(logs_at_most: u8) -> Self {
+        let log = defmt::unwrap!(singleton!(: [u8; 2048] = [0; 2048]));
+        cosmic_rtt::start(log, logs_at_most);
+        let records = defmt::unwrap!(singleton!(: [u8; 6144] = [0; 6144]));
+        let channel = defmt::unwrap!(cosmic_rtt::channel(c"records", records));
+        Self { channel, lost: 0 }
     }
 
     /// An event was handed to the middleware, which took it or not.
@@ -94,7 +93,7 @@ impl Records {
 
     fn write(&mut self, record: &Record) {
         // Nobody waits for a probe; the channel takes a record whole or not at all.
-        if self.channel.write(&record.encode()) != Record::LEN {
+        if !self.channel.write(&record.encode()) {
             self.lost = self.lost.wrapping_add(1);
             if self.lost.is_power_of_two() {
                 defmt::warn!("{} records were lost: nobody reads them fast enough", self.lost);

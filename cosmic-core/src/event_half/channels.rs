@@ -9,7 +9,7 @@ use crate::event_layer::{
     SubscribeError, Subscription, encode,
 };
 use crate::network::fragments::Message;
-use crate::network::hard::{Attach, AttachError, BufferId, HrtBuffers, Role};
+use crate::network::hard::{Attach, AttachError, Attaching, BufferId, Detaching, HrtBuffers, Role};
 use crate::network::soft::{self, Outgoing, Tag};
 use crate::services::{Declaration, Services, TooMany};
 use crate::time::Instant;
@@ -242,8 +242,13 @@ impl<
         };
         let mut buffer = None;
         for slot in self.calendar.slots().iter().filter(fits) {
-            let request = Attach { calendar: self.calendar, slot, role };
-            let attached = self.hard.with(|buffers| buffers.attach(&request));
+            let mut attaching = Attaching::new(&Attach { calendar: self.calendar, slot, role });
+            // In steps, between which the calendar task is let in.
+            let attached = loop {
+                if let Some(attached) = self.hard.with(|buffers| buffers.attach_step(&mut attaching)) {
+                    break attached;
+                }
+            };
             buffer = Some(attached.map_err(|AttachError::Full| AnnounceError::TooManySlots)?);
         }
         buffer.map(Some).ok_or(AnnounceError::NotInCalendar)
@@ -251,7 +256,8 @@ impl<
 
     fn detach(&mut self, buffer: Option<BufferId>, role: Role) {
         if let Some(buffer) = buffer {
-            self.hard.with(|buffers| buffers.detach(buffer, role));
+            let mut detaching = Detaching::new(buffer, role);
+            while !self.hard.with(|buffers| buffers.detach_step(&mut detaching)) {}
         }
     }
 

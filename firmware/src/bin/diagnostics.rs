@@ -3,7 +3,7 @@
 #![no_std]
 #![no_main]
 
-use panic_probe as _;
+use cosmic_rtt as _;
 
 #[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2, SPI3])]
 mod app {

@@ -6,7 +6,7 @@
 #![no_std]
 #![no_main]
 
-use panic_probe as _;
+use cosmic_rtt as _;
 
 #[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2])]
 mod app {
@@ -41,7 +41,7 @@ mod app {
 
     #[init]
     fn init(context: init::Context) -> (Shared, Local) {
-        let _records = firmware::records::Records::start();
+        let _records = firmware::records::Records::start(5);
         let settings = Settings { bit_rate: BitRate::MAX, filters: FILTERS.iter() };
         let Ok(board) = Stm32F405::new(boards::resources!(context.device), settings, TimerPriority::new(5))
         else {

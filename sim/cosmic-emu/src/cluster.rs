@@ -10,7 +10,7 @@ use cosmic_bus::{Bus, BusOffRecovery, Event, StationId, VirtualInstant, time};
 
 use crate::image::LoadError;
 use crate::node::{Node, NodeConfig};
-use crate::observation::{NodeId, Observation, ObservationKind};
+use crate::observation::{Masked, NodeId, Observation, ObservationKind};
 use crate::soc::can::Command;
 use crate::station::{Port, Station};
 
@@ -126,6 +126,18 @@ impl Cluster {
     /// Watches for the instruction at an address of a node's firmware.
     pub fn watch_address(&mut self, node: NodeId, pc: u32) {
         self.nodes[node.0].0.pace().add_probe(pc & !1);
+    }
+
+    /// From now on, measure for how long interrupts of a priority, as NVIC has it, are masked at a node.
+    pub fn watch_masks(&mut self, node: NodeId, priority: u8) {
+        self.nodes[node.0].0.pace().watch_masks(priority);
+    }
+
+    /// For how long interrupts of that priority were masked at most, by whatever they would pre-empt: one entry for
+    /// each place in the program, the longest first. Changes of the masks by exception entry and return are not
+    /// looked at, since only FAULTMASK has any.
+    pub fn longest_masked(&self, node: NodeId) -> Vec<Masked> {
+        self.nodes[node.0].0.longest_masked()
     }
 
     /// Cuts the power of a node at the present instant.

@@ -61,5 +61,5 @@ pub use cpu::{AccessKind, CpuFault};
 pub use image::LoadError;
 pub use log::LogLine;
 pub use node::{Firmware, NodeConfig};
-pub use observation::{NodeId, Observation, ObservationKind, Pin, Place, StopReason};
+pub use observation::{Masked, NodeId, Observation, ObservationKind, Pin, Place, StopReason};
 pub use station::{BackgroundLoad, Port, Station};

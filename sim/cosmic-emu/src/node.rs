@@ -13,12 +13,12 @@ use cosmic_core::time::Duration;
 use fugit::HertzU32;
 
 use crate::clock::ClockError;
-use crate::cpu::{Cpu, Interpreter, Io, Pace, Register, Stop};
+use crate::cpu::{Cpu, Interpreter, Io, MaskedAt, Pace, Register, Stop};
 use crate::exception::{self, ENTRY_CYCLES, RETURN_CYCLES, TAIL_CHAIN_CYCLES};
 use crate::image::{Image, LoadError};
 use crate::log::LogDecoder;
 use crate::memory;
-use crate::observation::{ObservationKind, Pin, Place, StopReason};
+use crate::observation::{Masked, ObservationKind, Pin, Place, StopReason};
 use crate::rtt::Rtt;
 use crate::soc::can::{Command, Outcome};
 use crate::soc::{HappeningKind, System, number};
@@ -140,6 +140,19 @@ impl Node {
         &self.pace
     }
 
+    /// For how long interrupts of the watched priority were masked at most by what they would pre-empt.
+    pub(crate) fn longest_masked(&self) -> Vec<Masked> {
+        let Some(watched) = self.pace.watched_priority() else { return Vec::new() };
+        let nvic = &self.system.borrow().nvic;
+        let is_below = |at: &MaskedAt| at.exception == 0 || nvic.priority(at.exception) > watched;
+        let all = self.pace.longest_masked().into_iter().filter(|(at, _)| is_below(at));
+        let mut all: Vec<_> = all
+            .map(|(at, cycles)| Masked { place: self.place(at.pc), exception: at.exception, cycles })
+            .collect();
+        all.sort_by_key(|masked| std::cmp::Reverse(masked.cycles));
+        all
+    }
+
     pub(crate) fn is_stopped(&self) -> bool {
         self.state == State::Stopped
     }
@@ -192,7 +205,7 @@ impl Node {
             }
             if self.state == State::Asleep && !system.nvic.wakes(masks) {
                 let next = system.deadline().map_or(horizon, |deadline| deadline.min(horizon));
-                self.pace.skip_to(next);
+                self.pace.sleep_until(next);
                 continue;
             }
             self.state = State::Running;

@@ -59,6 +59,17 @@ impl core::fmt::Display for Place {
     }
 }
 
+/// For how long a place in the program held back interrupts.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Masked {
+    /// The instruction that masked them.
+    pub place: Place,
+    /// The exception that it ran in; 0 is the thread.
+    pub exception: u16,
+    /// The longest time, in cycles of the core.
+    pub cycles: u64,
+}
+
 /// What was seen.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub enum ObservationKind {

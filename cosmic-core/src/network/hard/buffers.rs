@@ -1,7 +1,7 @@
 //! HRT message buffers: what the two halves of a node share.
 
 use super::counters::Counters;
-use crate::calendar::{Calendar, Slot, SlotTimes};
+use crate::calendar::SlotTimes;
 use crate::can::{Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 use crate::network::id_map::IdMap;
 use crate::time::{Duration, GlobalClock, GlobalInstant, Instant};
@@ -56,26 +56,6 @@ impl Delivery {
     }
 }
 
-/// A request to take part in a slot of the calendar; see [`HrtBuffers::attach`].
-#[derive(Clone, Copy, Debug)]
-pub struct Attach<'c> {
-    /// The calendar of the segment.
-    pub calendar: &'c Calendar,
-    /// One of its slots.
-    pub slot: &'c Slot,
-    /// What this node does in it.
-    pub role: Role,
-}
-
-/// Why a node cannot take part in a slot.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum AttachError {
-    /// All buffers, or all places for slots, are in use: make `N` larger.
-    Full,
-}
-
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Buffer {
     pub(super) id: Id,
@@ -89,8 +69,8 @@ pub(super) struct Buffer {
     /// Received in the slot that is open, not yet visible.
     pub(super) arriving: Option<(Payload, Instant)>,
     /// Visible, not yet fetched: what, when it arrived, when it was to be delivered.
-    visible: Option<(Payload, Instant, GlobalInstant)>,
-    window: Duration,
+    pub(super) visible: Option<(Payload, Instant, GlobalInstant)>,
+    pub(super) window: Duration,
     pub(super) counters: Counters,
 }
 
@@ -137,11 +117,11 @@ pub(super) enum HardMailbox {
 /// * the transmit interrupt: [`on_outcome`](Self::on_outcome);
 /// * the dispatcher, in [`Dispatcher::poll`](super::Dispatcher::poll).
 ///
-/// All are O(1), but for `attach` and `detach`, which are O(N).
+/// All are O(1), but for `attach` and `detach`, which are O(N); the event half makes them in steps.
 #[derive(Clone, Debug)]
 pub struct HrtBuffers<const N: usize> {
-    buffers: [Option<Buffer>; N],
-    by_id: IdMap<8, N>,
+    pub(super) buffers: [Option<Buffer>; N],
+    pub(super) by_id: IdMap<8, N>,
     pub(super) slots: [Option<LocalSlot>; N],
     /// Counts changes of `slots` and `clock`, so that the dispatcher sees them.
     pub(super) revision: u32,
@@ -163,83 +143,6 @@ impl<const N: usize> HrtBuffers<N> {
             clock,
             inhibited: false,
         }
-    }
-
-    /// Takes part in a slot. Roles add up when the same channel and publisher are attached again. The
-    /// dispatcher acts on it from its next wake-up on.
-    ///
-    /// # Errors
-    /// [`AttachError::Full`]; nothing has changed then.
-    #[allow(clippy::indexing_slicing, reason = "the places were found by their numbers")]
-    pub fn attach(&mut self, request: &Attach<'_>) -> Result<BufferId, AttachError> {
-        let slot = request.slot;
-        let id = Id::new(Priority::HARD, slot.publisher, slot.etag);
-        let times = request.calendar.slot_times(slot);
-        let known = self.by_id.get(id.raw());
-        let at = match known {
-            Some(at) => at as usize,
-            None => self.buffers.iter().position(Option::is_none).ok_or(AttachError::Full)?,
-        };
-        let local = LocalSlot {
-            buffer: at as u8,
-            periodic: slot.periodic,
-            period: slot.period,
-            phase: slot.phase,
-            times,
-            attached: self.revision.wrapping_add(1),
-        };
-        let same = |place: &Option<LocalSlot>| {
-            place.is_some_and(|there| there.buffer == local.buffer && there.phase == local.phase)
-        };
-        let place = (self.slots.iter().position(same).filter(|_| known.is_some()))
-            .or_else(|| self.slots.iter().position(Option::is_none))
-            .ok_or(AttachError::Full)?;
-        if known.is_none() {
-            self.by_id.insert(id.raw(), at as u32).map_err(|_| AttachError::Full)?;
-            self.buffers[at] = Some(Buffer::new(id));
-        }
-        if let Some(buffer) = &mut self.buffers[at] {
-            buffer.role.publishes |= request.role.publishes;
-            buffer.role.subscribes |= request.role.subscribes;
-            buffer.window = buffer.window.max(times.delivery);
-        }
-        self.slots[place] = Some(local);
-        self.revision = self.revision.wrapping_add(1);
-        Ok(BufferId(at as u8))
-    }
-
-    /// Gives up a role in all slots of the buffer; without any role left the buffer becomes free.
-    pub fn detach(&mut self, id: BufferId, role: Role) {
-        let Some(place) = self.buffers.get_mut(usize::from(id.0)) else { return };
-        let Some(buffer) = place else { return };
-        if role.publishes && buffer.role.publishes {
-            match self.mailbox {
-                HardMailbox::Loaded(loaded) if loaded == id.0 => self.mailbox = HardMailbox::Orphaned,
-                HardMailbox::Withdrawing(loaded) if loaded == id.0 => self.mailbox = HardMailbox::Abandoned,
-                _ => {}
-            }
-            self.revision = self.revision.wrapping_add(1);
-        }
-        if role.publishes {
-            buffer.role.publishes = false;
-            buffer.fresh = false;
-        }
-        if role.subscribes {
-            buffer.role.subscribes = false;
-            buffer.arriving = None;
-            buffer.visible = None;
-        }
-        if buffer.role != Role::default() {
-            return;
-        }
-        self.by_id.remove(buffer.id.raw());
-        *place = None;
-        for slot in &mut self.slots {
-            if slot.is_some_and(|slot| slot.buffer == id.0) {
-                *slot = None;
-            }
-        }
-        self.revision = self.revision.wrapping_add(1);
     }
 
     /// Puts an event into the buffer, to be sent in the next slot. An older one that is still there is
@@ -373,7 +276,7 @@ impl<const N: usize> HrtBuffers<N> {
 }
 
 impl Buffer {
-    const fn new(id: Id) -> Self {
+    pub(super) const fn new(id: Id) -> Self {
         Self {
             id,
             role: Role { publishes: false, subscribes: false },

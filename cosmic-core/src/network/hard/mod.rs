@@ -24,10 +24,13 @@
 //! buffer concerned. The event layer compares the counts with those it saw before and raises the
 //! exceptions; none can be lost on the way.
 
+mod attach;
 mod buffers;
 mod counters;
 mod dispatcher;
 
-pub use buffers::{Attach, AttachError, BufferId, Delivery, HrtBuffers, Role};
+pub use attach::{Attach, AttachError};
+pub(crate) use attach::{Attaching, Detaching};
+pub use buffers::{BufferId, Delivery, HrtBuffers, Role};
 pub use counters::Counters;
 pub use dispatcher::{CalendarStep, Dispatcher};

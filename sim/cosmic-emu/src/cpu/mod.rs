@@ -9,9 +9,11 @@
 
 mod cycles;
 mod interpreter;
+mod masking;
 mod pace;
 
 pub(crate) use interpreter::Interpreter;
+pub(crate) use masking::MaskedAt;
 pub(crate) use pace::Pace;
 
 /// What the core reads and writes outside of its memories.

@@ -5,7 +5,9 @@
 //! it; all of one node runs on one thread.
 
 use core::cell::{Cell, RefCell};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::masking::{MaskedAt, Masking};
 
 /// Cycles that a taken branch costs on top: the pipeline is refilled (Cortex-M4 TRM, table 3-1: P = 1..=3).
 const REFILL: u64 = 2;
@@ -33,6 +35,7 @@ pub(crate) struct Pace {
     probes: RefCell<BTreeSet<u32>>,
     watching: Cell<bool>,
     hits: RefCell<Vec<ProbeHit>>,
+    masking: Masking,
 }
 
 impl Pace {
@@ -124,11 +127,34 @@ impl Pace {
         self.instructions.set(self.instructions.get() + turns * instructions);
     }
 
-    /// The core executes an instruction that changes interrupt masks.
-    pub(crate) fn masks_change(&self) {
+    /// The core executes an instruction that changes interrupt masks, in this exception. `ceiling` is the
+    /// smallest priority that they hold back from then on, above 255 for none.
+    pub(crate) fn masks_change(&self, ceiling: u16, exception: u16) {
+        self.masking.change(ceiling, self.cycle.get(), MaskedAt { pc: self.pc.get(), exception });
         if self.pending.get() {
             self.stop_soon();
         }
+    }
+
+    /// Nothing happens until this cycle: the core sleeps.
+    pub(crate) fn sleep_until(&self, cycle: u64) {
+        self.skip_to(cycle);
+        self.masking.sleep_until(self.cycle.get());
+    }
+
+    /// Measure for how long interrupts of this priority are masked.
+    pub(crate) fn watch_masks(&self, priority: u8) {
+        self.masking.watch(priority);
+    }
+
+    /// The priority that [`watch_masks`](Self::watch_masks) named.
+    pub(crate) fn watched_priority(&self) -> Option<u8> {
+        self.masking.watched()
+    }
+
+    /// For how long they were masked at most, by the place that masked them.
+    pub(crate) fn longest_masked(&self) -> BTreeMap<MaskedAt, u64> {
+        self.masking.longest()
     }
 
     fn watch(&self, pc: u32) {

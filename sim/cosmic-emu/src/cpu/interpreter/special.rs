@@ -15,6 +15,7 @@ mod number {
 }
 
 const IPSR: u32 = 0x1FF;
+const NOTHING_MASKED: u16 = 256;
 const APSR: u32 = 0xF80F_0000;
 
 impl Interpreter {
@@ -59,14 +60,23 @@ impl Interpreter {
             _ => {}
         }
         if special >= number::PRIMASK {
-            self.pace.masks_change();
+            self.masks_change();
         }
     }
 
     pub(super) fn change_masks(&mut self, disable: bool, primask: bool, faultmask: bool) {
         self.primask = if primask { disable } else { self.primask };
         self.faultmask = if faultmask { disable } else { self.faultmask };
-        self.pace.masks_change();
+        self.masks_change();
+    }
+
+    fn masks_change(&self) {
+        let ceiling = match self.basepri {
+            _ if self.primask || self.faultmask => 0,
+            0 => NOTHING_MASKED,
+            basepri => basepri.into(),
+        };
+        self.pace.masks_change(ceiling, self.ipsr as u16);
     }
 
     /// In handler mode the stack selection cannot be written.
