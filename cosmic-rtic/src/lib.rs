@@ -57,6 +57,9 @@ pub use tasks::{Calendar, Events, Other, Outcomes, Status, Urgent};
 /// wait for a task that it wakes, and everybody reads the clock.
 pub const CALENDAR_PRIORITY: u8 = 7;
 
+/// The priority of the event task. No task above it calls the application or an [`Observer`], so none above it logs.
+pub const EVENT_PRIORITY: u8 = 3;
+
 /// Spawns tasks of an RTIC app in its `init`, each once, with what it is handed: `spawn!(events(events), watch());`.
 #[macro_export]
 macro_rules! spawn {

@@ -53,8 +53,7 @@ impl Records {
     /// Sets up RTT for logs and records; once, first thing in `init`. Tasks up to the priority `logs_at_most` may
     /// log.
     pub fn start(logs_at_most: u8) -> Self {
-        let log = defmt::unwrap!(singleton!(: [u8; 2048] = [0; 2048]));
-        cosmic_rtt::start(log, logs_at_most);
+        cosmic_rtt::start!(2048, logs_at_most);
         let records = defmt::unwrap!(singleton!(: [u8; 6144] = [0; 6144]));
         let channel = defmt::unwrap!(cosmic_rtt::channel(c"records", records));
         Self { channel, lost: 0 }

@@ -24,7 +24,7 @@ impl System for Vehicle {
 
 /// Brings up the node of this plan. For RTIC's `init`; a mistake in the settings ends there, with a log.
 pub fn start(resources: Resources, plan: NodePlan, storage: &'static mut Storage<Vehicle>) -> Parts<Vehicle> {
-    let records = Records::start(LOGS_AT_MOST);
+    let records = Records::start(cosmic_rtic::EVENT_PRIORITY);
     let mut board = match Stm32F405::start(resources, &plan) {
         Ok(board) => board,
         Err(error) => defmt::panic!("the board cannot be brought up: {}", defmt::Debug2Format(&error)),
@@ -97,6 +97,3 @@ impl CalendarObserver for CalendarReporter {
         self.notified.toggle();
     }
 }
-
-/// The priority of the event task, at which the observer is told of exceptions. What runs above does not log.
-const LOGS_AT_MOST: u8 = 3;

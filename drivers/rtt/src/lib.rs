@@ -6,16 +6,15 @@
 //! while another line is half written, is not written, but counted ([`lost`]).
 //!
 //! ```ignore
-//! // In RTIC's `init`. The tasks that log have at most priority 3.
-//! let log = cortex_m::singleton!(: [u8; 1024] = [0; 1024]).unwrap();
-//! cosmic_rtt::start(log, 3);
+//! // In RTIC's `init`: a buffer of 1024 bytes. The tasks that log have at most priority 3.
+//! cosmic_rtt::start!(1024, 3);
 //! ```
 //!
 //! Up-channel 0, `defmt`, carries the log; [`channel`] sets up another beside it, for data of the application's.
 //! Nobody ever waits for a probe: what finds no room is left out whole, and counted.
 //!
 //! With the feature `panic-handler` a panic is logged, whoever was logging, and ends in a HardFault. It says file,
-//! line and the message if that is a literal: formatting others would cost some 4 KB of flash.
+//! line and the message if that is a literal: formatting others costs some 4 KB of flash; `panic-messages` does it.
 #![no_std]
 #![cfg_attr(
     not(all(target_arch = "arm", feature = "panic-handler")),
@@ -41,3 +40,18 @@ pub use logger::{lost, start};
 pub fn channel(name: &'static core::ffi::CStr, buffer: &'static mut [u8]) -> Option<Channel> {
     control::CONTROL.channel(control::DATA, name, buffer)
 }
+
+/// Starts the log with a buffer of so many bytes, once: `start!(1024, 3)`. See [`start`](fn@start).
+#[cfg(target_arch = "arm")]
+#[macro_export]
+macro_rules! start {
+    ($bytes:expr, $ceiling:expr) => {
+        if let Some(log) = $crate::cortex_m::singleton!(: [u8; $bytes] = [0; $bytes]) {
+            $crate::start(log, $ceiling);
+        }
+    };
+}
+
+#[cfg(target_arch = "arm")]
+#[doc(hidden)]
+pub use cortex_m;

@@ -9,8 +9,13 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     if !PANICKED.swap(true, Ordering::Relaxed) {
         crate::logger::take_over();
         let (file, line) = info.location().map_or(("?", 0), |at| (at.file(), at.line()));
-        let message = info.message().as_str().unwrap_or("(a message with values)");
-        defmt::error!("panicked at {=str}:{=u32}: {=str}", file, line, message);
+        #[cfg(feature = "panic-messages")]
+        defmt::error!("panicked at {=str}:{=u32}: {}", file, line, defmt::Display2Format(&info.message()));
+        #[cfg(not(feature = "panic-messages"))]
+        {
+            let message = info.message().as_str().unwrap_or("(a message with values)");
+            defmt::error!("panicked at {=str}:{=u32}: {=str}", file, line, message);
+        }
     }
     end()
 }

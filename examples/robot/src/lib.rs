@@ -8,7 +8,6 @@ use cosmic_core::services::ClockService;
 use cosmic_core::time::Instant;
 pub use cosmic_rtic::prelude::*;
 use cosmic_rtic::{Observer, Observes};
-use panic_probe as _;
 
 use plan::channels;
 
@@ -27,7 +26,7 @@ impl cosmic_rtic::System for Robot {
 
 /// Brings the board up that a node of the plan runs on, with its log.
 pub fn board(resources: boards::stm32f4::Resources, node: &NodePlan) -> Stm32F405 {
-    rtt_target::rtt_init_defmt!();
+    cosmic_rtt::start!(1024, cosmic_rtic::EVENT_PRIORITY);
     Stm32F405::start(resources, node).expect("the plan fits the board")
 }
 

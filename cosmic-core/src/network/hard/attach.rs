@@ -52,7 +52,7 @@ impl<const N: usize> HrtBuffers<N> {
                     (Some(buffer), Some(slot)) => {
                         let owner = slot.and_then(|slot| self.buffer(slot.buffer)).map(|buffer| buffer.id);
                         attaching.look_at(at, buffer.as_ref(), slot.as_ref(), owner);
-                        attaching.next = Step::Look(at + 1);
+                        attaching.next = Step::Look(at.saturating_add(1));
                     }
                     _ => attaching.next = if attaching.known.is_some() { Step::Join } else { Step::Make },
                 }
@@ -121,7 +121,7 @@ impl<const N: usize> HrtBuffers<N> {
             detaching.next = Some(0);
             return self.give_up(id, role);
         };
-        detaching.next = Some(at + 1);
+        detaching.next = Some(at.saturating_add(1));
         if let Some(slot) = self.slots.get_mut(usize::from(at)) {
             slot.take_if(|slot| slot.buffer == id.0);
             return false;
