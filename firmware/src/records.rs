@@ -53,9 +53,9 @@ impl Records {
     /// Sets up RTT for logs and records; once, first thing in `init`. Tasks up to the priority `logs_at_most` may
     /// log.
     pub fn start(logs_at_most: u8) -> Self {
-        cosmic_rtt::start!(2048, logs_at_most);
         let records = defmt::unwrap!(singleton!(: [u8; 6144] = [0; 6144]));
         let channel = defmt::unwrap!(cosmic_rtt::channel(c"records", records));
+        cosmic_rtt::start!(2048, logs_at_most);
         Self { channel, lost: 0 }
     }
 

@@ -55,7 +55,7 @@ impl Control {
         }
     }
 
-    /// Sets up a channel, once.
+    /// Sets up a channel, once, and before the block is [published](Self::publish).
     pub(crate) fn channel(
         &'static self,
         number: usize,
@@ -63,17 +63,22 @@ impl Control {
         buffer: &'static mut [u8],
     ) -> Option<Channel> {
         let (descriptor, taken) = (self.up.get(number)?, self.taken.get(number)?);
-        if taken.swap(true, Ordering::Relaxed) {
+        let is_published = self.up_channels.load(Ordering::Relaxed) > 0;
+        if is_published || taken.swap(true, Ordering::Relaxed) {
             return None;
         }
         descriptor.name.store(name.as_ptr().cast_mut().cast(), Ordering::Relaxed);
         descriptor.size.store(buffer.len() as u32, Ordering::Relaxed);
         descriptor.buffer.store(buffer.as_mut_ptr(), Ordering::Relaxed);
+        Some(Channel { descriptor, size: buffer.len() as u32 })
+    }
+
+    /// Lets the probe find the block. It reads the channels once, so that all are set up by now.
+    pub(crate) fn publish(&self) {
         self.up_channels.store(CHANNELS as u32, Ordering::Relaxed);
         for (slot, byte) in self.identifier.iter().zip(IDENTIFIER) {
             slot.store(!byte, Ordering::Release);
         }
-        Some(Channel { descriptor, size: buffer.len() as u32 })
     }
 }
 
@@ -195,12 +200,22 @@ mod tests {
     #[test]
     fn a_probe_finds_the_block_as_segger_lays_it_out() {
         let (control, _) = channel(8);
+        assert!(control.identifier.iter().all(|byte| byte.load(Ordering::Relaxed) == 0));
+        control.publish();
         let words = core::ptr::from_ref(control).cast::<u8>();
         // SAFETY: the block has these bytes.
         let head = unsafe { core::slice::from_raw_parts(words, 24) };
         assert_eq!(head, b"SEGGER RTT\0\0\0\0\0\0\x02\0\0\0\0\0\0\0");
         assert_eq!(core::mem::offset_of!(Control, up), 24);
-        assert!(control.channel(LOG, c"again", Box::leak(Box::new([0; 4]))).is_none());
+    }
+
+    #[test]
+    fn a_channel_is_set_up_once_and_before_a_probe_may_look() {
+        let (control, _) = channel(8);
+        let buffer = || -> &'static mut [u8] { Box::leak(Box::new([0; 4])) };
+        assert!(control.channel(LOG, c"again", buffer()).is_none());
+        control.publish();
+        assert!(control.channel(DATA, c"late", buffer()).is_none());
     }
 
     #[test]

@@ -35,7 +35,8 @@ pub use control::Channel;
 #[cfg(target_arch = "arm")]
 pub use logger::{lost, start};
 
-/// Sets up up-channel 1. `None` if it has been set up already.
+/// Sets up up-channel 1, before the log is [started](start()): a probe reads once which channels there are. `None` if it
+/// has been set up already, or the log has been started.
 #[cfg(target_arch = "arm")]
 pub fn channel(name: &'static core::ffi::CStr, buffer: &'static mut [u8]) -> Option<Channel> {
     control::CONTROL.channel(control::DATA, name, buffer)

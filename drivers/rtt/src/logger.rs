@@ -20,6 +20,7 @@ pub fn start(log: &'static mut [u8], ceiling: u8) {
     // SAFETY: all others who may log are masked, and this one has no other reference.
     unsafe { &mut *LINES.0.get() }.set_channel(channel);
     unmask(masked);
+    CONTROL.publish();
 }
 
 /// How many lines were not written: there was no room, or somebody logged who may not.
@@ -109,9 +110,9 @@ fn may_log() -> bool {
         0 => true,
         // Above all that can be masked.
         1..=3 => false,
-        // SAFETY: for exceptions 4 to 15 SHPR, from 16 on NVIC_IPR, has a byte for each (ARMv7-M ARM, B3.2.10,
-        // B3.4.9). Reading has no effect.
+        // SAFETY: SHPR has a byte for each of them (ARMv7-M ARM, B3.2.10); reading it has no effect.
         4..=15 => unsafe { SHPR.add(exception as usize - 4).read_volatile() >= ceiling() },
+        // SAFETY: NVIC_IPR has a byte for each interrupt (B3.4.9); reading it has no effect.
         _ => unsafe { IPR.add(exception as usize - 16).read_volatile() >= ceiling() },
     }
 }
