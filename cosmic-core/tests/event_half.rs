@@ -433,3 +433,27 @@ fn an_early_frame_is_not_the_first_copy_of_the_event() {
     assert_eq!(half.next(&subscription).map(|event| event.content), Some(2));
     assert_eq!(half.exceptions(ExceptionKind::MissedEvent), 0);
 }
+
+#[test]
+fn a_host_without_a_clock_for_the_calendar_delivers_at_once() {
+    let mut half = node();
+    let channel: Channel<Payload> = Channel::hard(subject(0x102), Etag::new(102).unwrap(), QUALITY);
+    let subscription = half.subscribe_early(&channel, Filter::ALL, fifo(2)).unwrap();
+    let frame = |publisher, priority| {
+        let id = Id::new(Priority::new(priority), publisher, Etag::new(102).unwrap());
+        Frame::new(id, Payload::new(&[7, 8]).unwrap())
+    };
+    // Neither what another node sends, nor at another priority.
+    assert!(!half.on_early_frame(&frame(ME, 0), at(1)));
+    assert!(!half.on_early_frame(&frame(OTHER, 1), at(1)));
+    assert!(half.next(&subscription).is_none());
+    assert!(half.on_early_frame(&frame(OTHER, 0), at(2)));
+    let event = half.next(&subscription).unwrap();
+    assert_eq!((event.content.as_slice(), event.publisher, event.received_at), (&[7, 8][..], OTHER, at(2)));
+    let unplanned: Channel<Payload> = Channel::hard(subject(0x109), Etag::new(109).unwrap(), QUALITY);
+    let refused = half.subscribe_early(&unplanned, Filter::ALL, fifo(2)).map(|_| ());
+    assert_eq!(refused, Err(SubscribeError::Channel(AnnounceError::NotInCalendar)));
+    half.cancel_subscription(subscription);
+    assert!(half.on_early_frame(&frame(OTHER, 0), at(3)));
+    assert_eq!(half.foreign_frames(), 1);
+}

@@ -12,6 +12,7 @@ use crate::bit_rates;
 use crate::demo;
 use crate::fuzz;
 use crate::images;
+use crate::linux;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup;
@@ -30,6 +31,8 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
     tally.add(clippy(workspace, &way));
     tally.add(documentation(workspace, &way));
     tally.add(suite::host(workspace));
+    tally.add(linux::check(workspace));
+    tally.add(linux::test(workspace));
     tally.add(fuzz::smoke(workspace));
     tally.add(no_warnings(workspace, &way));
     tally.add(sizes(workspace, &way));

@@ -11,6 +11,7 @@ mod demo;
 mod experiment;
 mod fuzz;
 mod images;
+mod linux;
 mod new;
 mod plan;
 mod qemu;
@@ -47,7 +48,7 @@ enum Task {
     Demo(demo::Arguments),
     /// Measure scheduling, clocks and speed on the simulated bus; see docs/experiments.md.
     Experiment(experiment::Options),
-    /// Run all tests: on the host, in the emulated cluster, in QEMU.
+    /// Run all tests: on the host, on Linux links, in the emulated cluster, in QEMU.
     Test(suite::Options),
     /// Count the instructions of the hot paths on a Cortex-M4F, and compare them with their limits.
     Bench(bench::Options),

@@ -11,6 +11,7 @@ use crate::bit_rates;
 use crate::demo;
 use crate::fuzz;
 use crate::images::{self, PROFILE};
+use crate::linux;
 use crate::new;
 use crate::qemu;
 use crate::run::{self, step};
@@ -32,6 +33,8 @@ pub(crate) struct Options {
 enum Part {
     /// On this machine: what needs neither the Arm target nor an emulator
     Host,
+    /// The node on Linux and the gateway.
+    Linux,
     /// The fuzz targets of the core, for a moment each.
     Fuzz,
     /// The firmware in the emulated cluster.
@@ -48,6 +51,9 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
     let mut tally = Tally::default();
     if parts.contains(&Part::Host) {
         tally.add(host(workspace));
+    }
+    if parts.contains(&Part::Linux) {
+        tally.add(linux::test(workspace));
     }
     if parts.contains(&Part::Fuzz) {
         tally.add(fuzz::smoke(workspace));
@@ -143,7 +149,7 @@ fn said(line: &str) -> Option<&str> {
 }
 
 /// Runs `cargo test` and counts its results.
-fn cargo_test(command: &mut std::process::Command) -> Result<Tally> {
+pub(crate) fn cargo_test(command: &mut std::process::Command) -> Result<Tally> {
     let mut tally = Tally::default();
     let status = run::lines(command, |line| {
         println!("{line}");

@@ -71,6 +71,31 @@ impl<
         }
     }
 
+    /// As [`subscribe`](Self::subscribe), at a host whose clock is not good enough for the calendar: it hands in
+    /// hard real-time frames by [`on_early_frame`](Self::on_early_frame). The subscription takes no HRT message
+    /// buffer; of the calendar only the etag is looked at, so that content can be taken as plain bytes of any length.
+    ///
+    /// # Errors
+    /// [`SubscribeError`]; nothing has changed then.
+    pub fn subscribe_early<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        filter: Filter,
+        policy: Policy,
+    ) -> Result<Subscription<C>, SubscribeError> {
+        let declared = channel.declared();
+        let etag = declared.etag.filter(|etag| etag.is_hard());
+        if etag.is_some_and(|etag| !self.calendar.slots().iter().any(|slot| slot.etag == etag)) {
+            return Err(SubscribeError::Channel(AnnounceError::NotInCalendar));
+        }
+        let subscription = self.layer.subscribe(channel, filter, policy)?;
+        if let Err(error) = self.declare(&declared) {
+            self.cancel_subscription(subscription);
+            return Err(SubscribeError::Channel(error));
+        }
+        Ok(subscription)
+    }
+
     /// Gives up an announcement. When it was the last one of the channel, events that wait to be sent are
     /// discarded; the commands do so in the mailboxes.
     pub fn cancel_publication<C>(&mut self, publication: Publication<C>) -> [Due; 2] {

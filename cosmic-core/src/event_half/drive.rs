@@ -1,7 +1,8 @@
 //! What the driver and the dispatcher call: frames, outcomes, notices, and what is to be done next.
 
 use super::{EventHalf, HardAccess, Input, Own, SERVICES, Step};
-use crate::can::{Command, Frame, Mailbox, Outcome};
+use crate::calendar::Slot;
+use crate::can::{Command, Frame, Mailbox, Outcome, Priority};
 use crate::event_layer::{Exception, ExceptionKind, Received};
 use crate::network::hard::{BufferId, Counters, HrtBuffers};
 use crate::network::soft::{self, Outgoing};
@@ -65,6 +66,31 @@ impl<
         } else if S::WATCHES_EVENTS {
             self.services.on_event(frame.id, received_at);
         }
+    }
+
+    /// As [`on_input`](Self::on_input), for a hard real-time frame at a host whose clock is not good enough for the
+    /// calendar, and which therefore runs no dispatcher: the event is visible at once, not at its delivery instant.
+    /// Returns whether the frame is one of the calendar; any other is left alone.
+    ///
+    /// Such a host hands in each event once: a frame that was repeated on the bus is its to recognise. O(slots of
+    /// the calendar), and as for [`Input::Notice`].
+    pub fn on_early_frame(&mut self, frame: &Frame, received_at: Instant) -> bool {
+        let id = frame.id;
+        let is_of = |slot: &Slot| slot.etag == id.etag() && slot.publisher == id.tx_node();
+        if id.priority() != Priority::HARD || !self.calendar.slots().iter().any(is_of) {
+            return false;
+        }
+        match self.layer.receive_hard(frame, received_at) {
+            Received::Delivered => {}
+            Received::Foreign => self.foreign = self.foreign.wrapping_add(1),
+            Received::Undelivered => {
+                if let Some(route) = self.layer.route_of(id.etag()) {
+                    let accepted = self.layer.deliver(route.tag, frame, received_at);
+                    self.note(accepted, received_at);
+                }
+            }
+        }
+        true
     }
 
     /// A frame has left the soft or non real-time mailbox.

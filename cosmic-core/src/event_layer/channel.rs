@@ -104,6 +104,11 @@ impl<C: Content> Channel<C> {
     pub const fn subject(&self) -> Subject {
         self.declared.subject
     }
+
+    /// Its quality.
+    pub const fn attributes(&self) -> Attributes {
+        self.declared.attributes
+    }
 }
 
 /// The right to publish on a channel, from `announce`.

@@ -1,0 +1,106 @@
+//! A simulated or emulated segment in real time, over a Unix socket: several programs share it.
+//!
+//! A [server](serve) holds a [`Segment`], a bus in virtual time, and lets that time pass as the wall clock does. Each
+//! connection is a station on the bus, with three mailboxes, out of which frames can be withdrawn: nothing of what a
+//! controller does is lost on this link. A station of the server's own acknowledges every frame, so that a node that is
+//! alone can send.
+//!
+//! Records of 24 bytes go both ways; see [`Record`].
+
+mod bus;
+mod record;
+mod server;
+mod time;
+
+pub use bus::{Member, MemberEvent, Segment, SimulatedSegment};
+pub use record::{Record, VERSION};
+pub use server::{Options, ServeError, serve};
+
+use std::path::PathBuf;
+
+use cosmic_bus::WireFrame;
+use cosmic_core::can::{ErrorCounters, Frame, Outcome};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::UnixStream;
+
+use super::{Handover, Link, LinkError, Port};
+
+/// The link to a segment that is served at a socket.
+#[derive(Clone, Debug)]
+pub struct SegmentLink {
+    path: PathBuf,
+}
+
+impl SegmentLink {
+    /// The segment whose server listens there.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
+    }
+
+    fn error(&self, what: impl std::fmt::Display) -> LinkError {
+        LinkError::new(format!("segment at {}: {what}", self.path.display()))
+    }
+
+    async fn carry(&self, port: &Port) -> Result<(), LinkError> {
+        let connected = UnixStream::connect(&self.path).await;
+        let stream = connected.map_err(|error| self.error(format_args!("no server answers: {error}")))?;
+        let (mut from, mut to) = stream.into_split();
+        let lost = |error| self.error(format_args!("the server is gone: {error}"));
+        let mut bytes = [0; Record::LEN];
+        from.read_exact(&mut bytes).await.map_err(lost)?;
+        match Record::decode(&bytes) {
+            Some(Record::Hello { version: VERSION, .. }) => port.connected(),
+            _ => {
+                return Err(self.error(
+                    "what answers there is no segment of this version: run the same version on both sides",
+                ));
+            }
+        }
+        let read = async {
+            loop {
+                from.read_exact(&mut bytes).await.map_err(lost)?;
+                match Record::decode(&bytes) {
+                    Some(record) => take(record, port),
+                    None => port.malformed(),
+                }
+            }
+        };
+        let write = async {
+            loop {
+                let record = match port.next_handover().await {
+                    Handover::Send(mailbox, frame) => Record::Load { mailbox, frame: WireFrame::from(frame) },
+                    Handover::Withdraw(mailbox) => Record::Withdraw { mailbox },
+                };
+                to.write_all(&record.encode()).await.map_err(lost)?;
+            }
+        };
+        tokio::select! {
+            ended = read => ended,
+            ended = write => ended,
+        }
+    }
+}
+
+fn take(record: Record, port: &Port) {
+    match record {
+        Record::Received { frame, .. } => match Frame::try_from(frame) {
+            Ok(frame) => port.received(&frame),
+            Err(_) => port.foreign(),
+        },
+        Record::Sent { mailbox } => port.conclude(mailbox, Outcome::Sent),
+        Record::Withdrawn { mailbox } => port.conclude(mailbox, Outcome::Withdrawn),
+        Record::Lost { count } => port.lost(count),
+        Record::Errors { transmit, receive } => port.errors(ErrorCounters { transmit, receive }),
+        Record::BusOff => port.bus_off(),
+        Record::Hello { .. } | Record::Load { .. } | Record::Withdraw { .. } => port.malformed(),
+    }
+}
+
+impl Link for SegmentLink {
+    async fn run(&mut self, port: &Port) -> LinkError {
+        match self.carry(port).await {
+            Ok(()) => self.error("ended"),
+            Err(error) => error,
+        }
+    }
+}

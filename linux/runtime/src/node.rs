@@ -1,0 +1,210 @@
+//! A node: its tasks, and the handle that an application has of it.
+
+use std::sync::Arc;
+
+use cosmic_core::can::{Etag, TxNode};
+use cosmic_core::event_layer::{
+    Attributes, Channel, ChannelCounters, Content, Exception, ExceptionKind, Filter, Policy, SubscribeError,
+};
+use cosmic_core::protocol::Side;
+use cosmic_core::services::News;
+use cosmic_core::time::Instant;
+use cosmic_core::{Subject, broker};
+use tokio::sync::broadcast;
+use tokio::task::JoinHandle;
+
+use crate::application::{AnnounceError, Publisher, Subscriber};
+use crate::config::{BrokerTables, Config, StartError};
+use crate::link::{self, Link, LinkCounters};
+use crate::shared::Shared;
+
+/// A node of a segment. Clones are handles of the same node; it ends with the last of them and of its publishers and
+/// subscribers.
+#[derive(Clone)]
+pub struct Node {
+    pub(crate) running: Arc<Running>,
+}
+
+/// The tasks end with it.
+pub(crate) struct Running {
+    pub(crate) shared: Arc<Shared>,
+    tasks: [JoinHandle<()>; 2],
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.tasks.iter().for_each(JoinHandle::abort);
+    }
+}
+
+impl Node {
+    /// Starts a node on a link, inside a runtime of tokio. That the link cannot be reached yet is no error: it is tried
+    /// again and again.
+    ///
+    /// # Errors
+    /// [`StartError`]
+    pub fn start(config: Config, link: impl Link) -> Result<Self, StartError> {
+        let shared = Arc::new(Shared::new(&config)?);
+        let tasks = [
+            tokio::spawn(keep_time(Arc::clone(&shared))),
+            tokio::spawn(link::keep_connected(link, Arc::clone(&shared))),
+        ];
+        Ok(Self { running: Arc::new(Running { shared, tasks }) })
+    }
+
+    /// Announces a channel.
+    ///
+    /// # Errors
+    /// [`AnnounceError`]; always for a hard real-time channel.
+    pub fn announce<C: Content>(&self, channel: &Channel<C>) -> Result<Publisher<C>, AnnounceError> {
+        if matches!(channel.attributes(), Attributes::Hard(_)) {
+            return Err(AnnounceError::HardRealTime);
+        }
+        let publication = self.shared().act(|core, _| core.half.announce(channel));
+        Ok(Publisher::new(self.clone(), channel, publication.map_err(AnnounceError::Refused)?))
+    }
+
+    /// Subscribes to all events of a channel.
+    ///
+    /// # Errors
+    /// [`SubscribeError`]: no room, or a hard real-time channel that is not in the calendar.
+    pub fn subscribe<C: Content>(
+        &self,
+        channel: &Channel<C>,
+        policy: Policy,
+    ) -> Result<Subscriber<C>, SubscribeError> {
+        self.subscribe_filtered(channel, Filter::ALL, policy)
+    }
+
+    /// Subscribes to those events that pass the filter.
+    ///
+    /// # Errors
+    /// As [`subscribe`](Self::subscribe).
+    pub fn subscribe_filtered<C: Content>(
+        &self,
+        channel: &Channel<C>,
+        filter: Filter,
+        policy: Policy,
+    ) -> Result<Subscriber<C>, SubscribeError> {
+        let subscription = self.shared().act(|core, _| core.half.subscribe_early(channel, filter, policy))?;
+        Ok(Subscriber::new(self.clone(), subscription))
+    }
+
+    /// Waits for the next exception.
+    pub async fn next_exception(&self) -> Exception {
+        std::future::poll_fn(|context| self.shared().look(|core| core.half.poll_exception(context.waker())))
+            .await
+    }
+
+    /// How many exceptions of a kind there were. Wraps.
+    pub fn exceptions(&self, kind: ExceptionKind) -> u32 {
+        self.shared().look(|core| core.half.exceptions(kind))
+    }
+
+    /// What happened on a channel at this node.
+    pub fn channel_counters(&self, subject: Subject) -> Option<ChannelCounters> {
+        self.shared().look(|core| core.half.channel_counters(subject))
+    }
+
+    /// What the link did.
+    pub fn link_counters(&self) -> LinkCounters {
+        self.shared().look(|core| core.counters)
+    }
+
+    /// Returns whether the link is connected.
+    pub fn is_connected(&self) -> bool {
+        self.shared().look(|core| core.is_connected)
+    }
+
+    /// Waits until the link is connected.
+    pub async fn connected(&self) {
+        self.until(|node| node.is_connected().then_some(())).await;
+    }
+
+    /// The present local time: what deadlines and expirations are stated in.
+    pub fn now(&self) -> Instant {
+        self.shared().now()
+    }
+
+    /// The node's TxNode, if it has one.
+    pub fn tx_node(&self) -> Option<TxNode> {
+        self.shared().look(|core| core.half.services().tx_node())
+    }
+
+    /// Waits until the node has its TxNode.
+    pub async fn configured(&self) -> TxNode {
+        self.until(Self::tx_node).await
+    }
+
+    /// The etag of a subject, if this node knows it: of its own channels, or from the table of its broker.
+    pub fn etag_of(&self, subject: Subject) -> Option<Etag> {
+        self.shared().look(|core| {
+            let services = core.half.services();
+            let of_broker = || services.broker().as_ref()?.subjects().etag_of(subject);
+            services.etag_of(subject).or_else(of_broker)
+        })
+    }
+
+    /// The other nodes on a side of a channel, as far as they have told.
+    pub fn interested(&self, etag: Etag, side: Side) -> Vec<TxNode> {
+        self.shared().look(|core| core.half.services().interests().nodes(etag, side).map(|it| it.0).collect())
+    }
+
+    /// What the broker that this node hosts does; `None` if it hosts none.
+    pub fn broker_role(&self) -> Option<broker::BrokerRole> {
+        self.shared().look(|core| core.half.services().broker().as_ref().map(broker::Broker::role))
+    }
+
+    /// The table of the broker that this node hosts, to be stored; `None` if it hosts none.
+    pub fn broker_tables(&self) -> Option<BrokerTables> {
+        self.shared().look(|core| {
+            let broker = core.half.services().broker().as_ref()?;
+            Some(BrokerTables {
+                nodes: broker.nodes().entries().collect(),
+                subjects: broker.subjects().entries().collect(),
+            })
+        })
+    }
+
+    /// What happens in the cluster from now on: nodes that come and go, interest, what the broker does. Who is more
+    /// than a thousand behind is told how many were lost.
+    pub fn news(&self) -> broadcast::Receiver<News> {
+        self.shared().news.subscribe()
+    }
+
+    /// Waits until there is what is looked for. It is looked for whenever the link connects or a control frame has come.
+    pub(crate) async fn until<R>(&self, look: impl Fn(&Self) -> Option<R>) -> R {
+        let mut changed = self.shared().changed.subscribe();
+        loop {
+            if let Some(found) = look(self) {
+                return found;
+            }
+            // The sender lives as long as the node.
+            let _ = changed.changed().await;
+        }
+    }
+
+    pub(crate) fn shared(&self) -> &Shared {
+        &self.running.shared
+    }
+}
+
+/// Polls the core at the instants that it names.
+async fn keep_time(shared: Arc<Shared>) {
+    loop {
+        shared.act(|_, _| ());
+        let at = shared.tokio_instant(shared.look(|core| core.next_wakeup()));
+        tokio::select! {
+            () = sleep_until(at) => {}
+            () = shared.timer_wake.notified() => {}
+        }
+    }
+}
+
+/// Sleeps until then, or for ever.
+pub(crate) async fn sleep_until(at: Option<tokio::time::Instant>) {
+    match at {
+        Some(at) => tokio::time::sleep_until(at).await,
+        None => std::future::pending().await,
+    }
+}
