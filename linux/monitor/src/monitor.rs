@@ -1,0 +1,494 @@
+//! The monitor: hands each frame to the parts that it concerns, and tells what they noticed.
+
+use cosmic_bus::{TrafficClass, WireFrame};
+use cosmic_core::can::{BitRate, ErrorCounters, Etag, Frame, Priority, TxNode};
+use cosmic_core::event_layer::ExceptionKind;
+use cosmic_core::protocol::{
+    Answer, ConfigurationReply, ControlMessage, Interest, NodeState, NodeStatus, SupplyEtag, SyncMessage,
+    names_its_sender,
+};
+use cosmic_core::time::{Duration, Instant};
+use cosmic_core::{NodeUid, Subject};
+use cosmic_plan::cluster::Class;
+
+use crate::brokers::Brokers;
+use crate::channels::Channels;
+use crate::clock::{ClockNews, ListenerClock};
+use crate::decode::{self, Decoded, Meaning};
+use crate::doctor::{Finding, Suspects};
+use crate::feed::{Feed, News, Notice, NoticeKind};
+use crate::load::Load;
+use crate::nodes::Nodes;
+use crate::plan::SegmentPlan;
+use crate::slots::{Slots, Standing};
+use crate::snapshot::Snapshot;
+
+/// What a listener knows of a segment. See the [crate](crate) for the calling order and the bounds.
+#[derive(Clone, Debug)]
+pub struct Monitor {
+    pub(crate) plan: Option<SegmentPlan>,
+    pub(crate) bit_rate: BitRate,
+    pub(crate) started: Instant,
+    /// The latest instant that was told.
+    pub(crate) now: Instant,
+    swept_at: Instant,
+    pub(crate) link: LinkSeen,
+    pub(crate) nodes: Nodes,
+    pub(crate) channels: Channels,
+    pub(crate) brokers: Brokers,
+    pub(crate) clock: ListenerClock,
+    pub(crate) slots: Slots,
+    pub(crate) load: Load,
+    pub(crate) suspects: Suspects,
+    feed: Feed,
+}
+
+/// What the link told of itself.
+#[derive(Clone, Copy, Default, Debug)]
+pub(crate) struct LinkSeen {
+    pub(crate) received: u64,
+    pub(crate) foreign: u64,
+    pub(crate) lost: u64,
+    pub(crate) last_at: Option<Instant>,
+    pub(crate) errors: Option<ErrorCounters>,
+    pub(crate) bus_off: u32,
+    pub(crate) bus_off_at: Option<Instant>,
+}
+
+impl Monitor {
+    /// Listens to a segment of which only the bit rate is known.
+    pub fn new(bit_rate: BitRate, now: Instant) -> Self {
+        Self::build(bit_rate, None, now)
+    }
+
+    /// Listens to a segment whose plan is known.
+    pub fn with_plan(plan: SegmentPlan, now: Instant) -> Self {
+        Self::build(plan.bit_rate(), Some(plan), now)
+    }
+
+    fn build(bit_rate: BitRate, plan: Option<SegmentPlan>, now: Instant) -> Self {
+        Self {
+            slots: Slots::new(plan.as_ref()),
+            plan,
+            bit_rate,
+            started: now,
+            now,
+            swept_at: now,
+            link: LinkSeen::default(),
+            nodes: Nodes::new(),
+            channels: Channels::new(),
+            brokers: Brokers::new(),
+            clock: ListenerClock::new(),
+            load: Load::new(now),
+            suspects: Suspects::default(),
+            feed: Feed::default(),
+        }
+    }
+
+    /// The plan, if there is one.
+    pub fn plan(&self) -> Option<&SegmentPlan> {
+        self.plan.as_ref()
+    }
+
+    /// A frame has arrived.
+    pub fn on_frame(&mut self, frame: &Frame, at: Instant) {
+        let at = self.advance(at);
+        self.link.received += 1;
+        self.link.last_at = Some(at);
+        let bits = bits_of(&WireFrame::from(*frame));
+        self.load.add(decode::class_of(frame).0, bits, at, self.bit_rate);
+        if names_its_sender(frame.id) {
+            self.hear(frame.id.tx_node(), at);
+        }
+        if frame.id.priority() == Priority::HARD {
+            self.on_hard(frame, at);
+        }
+        if frame.id.etag().is_reserved() {
+            self.on_control(frame, at);
+        } else {
+            self.on_event(frame, bits, at);
+        }
+    }
+
+    /// A frame has arrived that COSMIC does not use: with a standard identifier, or a remote frame. `None` if the link
+    /// does not say what it was; then it counts as a frame, and not in the load.
+    pub fn on_foreign(&mut self, frame: Option<&WireFrame>, at: Instant) {
+        let at = self.advance(at);
+        self.link.foreign += 1;
+        self.link.last_at = Some(at);
+        if let Some(frame) = frame {
+            self.load.add(TrafficClass::Foreign, bits_of(frame), at, self.bit_rate);
+        }
+    }
+
+    /// So many frames were lost before they arrived here.
+    pub fn on_lost(&mut self, frames: u32, at: Instant) {
+        let at = self.advance(at);
+        self.link.lost += u64::from(frames);
+        let news = News::new(
+            NoticeKind::Lost,
+            "frames were lost on the way to this listener: it is too slow, or its link",
+        );
+        self.feed.add(news.times(frames.into()), at);
+    }
+
+    /// The error counters of the link's controller.
+    pub fn on_errors(&mut self, errors: ErrorCounters, at: Instant) {
+        self.advance(at);
+        self.link.errors = Some(errors);
+    }
+
+    /// The link's controller has left the bus.
+    pub fn on_bus_off(&mut self, at: Instant) {
+        let at = self.advance(at);
+        self.link.bus_off = self.link.bus_off.saturating_add(1);
+        self.link.bus_off_at = Some(at);
+        let news = News::new(NoticeKind::BusOff, "the controller of this link has left the bus");
+        self.feed.add(news.because([ExceptionKind::BusOff]), at);
+    }
+
+    /// All that is known at `now`.
+    pub fn snapshot(&mut self, now: Instant) -> Snapshot {
+        let now = self.advance(now);
+        self.sweep(now);
+        self.view(now)
+    }
+
+    /// What is wrong with the segment at `now`, the worst first.
+    pub fn doctor(&mut self, now: Instant) -> Vec<Finding> {
+        let now = self.advance(now);
+        self.sweep(now);
+        self.findings(now)
+    }
+
+    /// The notices with a [sequence number](Notice::sequence) above this, oldest first.
+    pub fn notices(&self, after: u64) -> impl Iterator<Item = &Notice> {
+        self.feed.after(after)
+    }
+
+    /// The frame in words, with the names that are known now. It is not taken into account.
+    pub fn decode(&self, frame: &Frame) -> Decoded {
+        let (etag, tx_node) = (frame.id.etag(), frame.id.tx_node());
+        let meaning = decode::control(frame);
+        let subject = meaning.is_none().then(|| self.subject_of(etag)).flatten();
+        let channel = meaning.is_none().then(|| self.planned_channel(etag)).flatten();
+        Decoded {
+            id: frame.id.to_string(),
+            class: decode::class_of(frame).1,
+            priority: frame.id.priority().get(),
+            tx_node: tx_node.get(),
+            node: names_its_sender(frame.id).then(|| self.name_of(tx_node)).flatten(),
+            etag: etag.get(),
+            channel: channel.zip(self.plan.as_ref()).map(|(at, plan)| plan.channel(at).name.clone()),
+            subject: subject.map(|subject| subject.to_string()),
+            data: frame.payload.to_string(),
+            meaning: meaning.unwrap_or(Meaning::Event { fields: Vec::new(), malformed: None }),
+        }
+    }
+
+    /// The name of a node in the plan.
+    pub fn name_of(&self, tx_node: TxNode) -> Option<String> {
+        self.plan.as_ref()?.node(tx_node).map(|node| node.name.clone())
+    }
+
+    /// The etag of a channel by its name in the plan, its subject, or its etag itself, as a person writes them: `brake`,
+    /// `C05A1C0000000003`, `0xC05A1C0000000003`, `16383`.
+    pub fn etag_called(&self, name: &str) -> Option<Etag> {
+        let by_name = || {
+            let plan = self.plan.as_ref()?;
+            let channel = plan.channel(plan.channel_named(name)?);
+            channel.etag.or_else(|| self.channels.etag_of(Subject::new(channel.subject)?))
+        };
+        let by_subject = || {
+            let digits = name.strip_prefix("0x").unwrap_or(name);
+            let subject = Subject::new(u64::from_str_radix(digits, 16).ok().filter(|_| digits.len() > 5)?)?;
+            let planned =
+                self.plan.as_ref().and_then(|plan| plan.channel(plan.channel_of_subject(subject)?).etag);
+            planned.or_else(|| self.channels.etag_of(subject))
+        };
+        by_name().or_else(by_subject).or_else(|| Etag::new(name.parse().ok()?))
+    }
+
+    /// The position of a channel in the plan: by its etag there, or by the subject that was bound to it.
+    pub(crate) fn planned_channel(&self, etag: Etag) -> Option<usize> {
+        let plan = self.plan.as_ref()?;
+        let bound = || plan.channel_of_subject(self.channels.get(etag)?.subject?);
+        plan.channel_of_etag(etag).or_else(bound)
+    }
+
+    /// The subject of a channel, by a binding or by the plan.
+    pub(crate) fn subject_of(&self, etag: Etag) -> Option<Subject> {
+        let bound = self.channels.get(etag).and_then(|channel| channel.subject);
+        let planned = || Subject::new(self.plan.as_ref()?.channel(self.planned_channel(etag)?).subject);
+        bound.or_else(planned)
+    }
+
+    /// Takes note of the time; an instant before the latest counts as that. Returns which one counts.
+    fn advance(&mut self, at: Instant) -> Instant {
+        self.now = self.now.max(at);
+        if self.now.saturating_since(self.swept_at) >= SWEEP {
+            self.sweep(self.now);
+        }
+        self.now
+    }
+
+    /// What only time brings: silence, ended leases, slots that passed.
+    fn sweep(&mut self, now: Instant) {
+        self.swept_at = now;
+        self.load.advance(now, self.bit_rate);
+        for tx_node in self.nodes.advance(now) {
+            self.channels.forget_node(tx_node);
+            let news = News::new(NoticeKind::NodeSilent, "the node has not been heard for too long");
+            self.feed.add(news.of(tx_node), now);
+        }
+        self.channels.advance(now);
+        let Some(global) = self.clock.global(now) else { return };
+        let tolerance = self.slot_tolerance();
+        for (etag, tx_node, missed) in self.slots.advance(global, tolerance) {
+            self.on_missed_slots(etag, tx_node, missed, now);
+        }
+    }
+
+    fn on_missed_slots(&mut self, etag: Etag, tx_node: TxNode, missed: u64, at: Instant) {
+        let here = [
+            ExceptionKind::NothingPublished,
+            ExceptionKind::OmissionDegreeExceeded,
+            ExceptionKind::SlotSkipped,
+        ];
+        here.into_iter().for_each(|kind| self.explain(tx_node, kind));
+        let mut subscribers: Vec<TxNode> = self.channels.get(etag).map_or_else(Vec::new, |channel| {
+            channel.subscribers.iter().map(|subscriber| subscriber.tx_node).collect()
+        });
+        if let Some((plan, channel)) = self.plan.as_ref().zip(self.planned_channel(etag)) {
+            subscribers.extend(plan.cluster().subscribers(channel).map(|node| node.tx_node));
+        }
+        subscribers.into_iter().for_each(|node| self.explain(node, ExceptionKind::MissedEvent));
+        let text = "slots of a periodic channel passed without a frame";
+        let news = News::new(NoticeKind::MissedSlot, text).of(tx_node).on(etag).times(missed);
+        self.feed.add(news.because([ExceptionKind::MissedEvent]), at);
+    }
+
+    /// How far from its window a frame may seem to be by the clocks of its publisher and of this listener.
+    fn slot_tolerance(&self) -> Duration {
+        let scatter = self.clock.uncertainty().unwrap_or(Duration::from_ticks(0));
+        let planned = self.plan.as_ref().map_or(Duration::from_ticks(0), |plan| plan.cluster().segment.gap());
+        Duration::from_ticks(scatter.as_ticks().saturating_mul(2).saturating_add(planned.as_ticks()))
+    }
+
+    fn hear(&mut self, tx_node: TxNode, at: Instant) {
+        if self.nodes.hear(tx_node, at) {
+            self.feed.add(
+                News::new(NoticeKind::NodeAppeared, "a node was heard that was not there").of(tx_node),
+                at,
+            );
+        }
+    }
+
+    fn explain(&mut self, tx_node: TxNode, kind: ExceptionKind) {
+        if let Some(node) = self.nodes.get_mut(tx_node) {
+            node.evidence.add(kind);
+        }
+    }
+
+    fn on_hard(&mut self, frame: &Frame, at: Instant) {
+        let (etag, tx_node) = (frame.id.etag(), frame.id.tx_node());
+        let tolerance = self.slot_tolerance();
+        let standing = match &self.plan {
+            Some(_) => self.slots.on_frame(frame.id, self.clock.global(at), tolerance),
+            // Without a plan only what no calendar can hold is known to be wrong.
+            None if etag.is_hard() => Standing::Unknown,
+            None => Standing::Unplanned,
+        };
+        let text = match standing {
+            Standing::Inside | Standing::Unknown => return,
+            Standing::Unplanned => "a frame of priority 0 that no slot of the calendar is for",
+            Standing::Outside => "a hard real-time frame outside of its window",
+        };
+        self.suspects.hard(etag, tx_node, standing, at);
+        self.feed.add(News::new(NoticeKind::OutsideSlot, text).of(tx_node).on(etag), at);
+    }
+
+    fn on_event(&mut self, frame: &Frame, bits: u32, at: Instant) {
+        let (etag, tx_node) = (frame.id.etag(), frame.id.tx_node());
+        self.channels.on_event(frame, at);
+        let channel = self.planned_channel(etag);
+        let stranger = match (&self.plan, channel) {
+            (Some(plan), Some(channel)) => !plan.publishes(tx_node, channel),
+            // Channels that the broker binds may be of nobody's plan.
+            (Some(plan), None) => plan.cluster().binding == cosmic_plan::cluster::Binding::Static,
+            (None, _) => false,
+        };
+        if stranger {
+            self.suspects.publisher(etag, tx_node, at);
+        }
+        let priority = frame.id.priority();
+        let soft = priority != Priority::HARD && priority <= Priority::SOFT_LEAST_URGENT;
+        let is_soft = |(plan, channel): (&SegmentPlan, usize)| plan.channel(channel).class == Class::Soft;
+        if !soft || !self.plan.as_ref().zip(channel).is_none_or(is_soft) {
+            return;
+        }
+        if priority == Priority::SOFT_MOST_URGENT {
+            self.explain(tx_node, ExceptionKind::MissedDeadline);
+        }
+        let plan = self.plan.as_ref();
+        let step = plan.map_or(self.bit_rate.longest_frame(8), |plan| plan.cluster().priority_step);
+        let deadline = plan.zip(channel).and_then(|(plan, channel)| plan.soft_deadline(channel));
+        if let Some(seen) = self.channels.of(etag, at) {
+            seen.latency.add(priority, step, self.bit_rate.bits(bits), deadline);
+        }
+    }
+
+    fn on_control(&mut self, frame: &Frame, at: Instant) {
+        if let Some(sync) = SyncMessage::decode(frame) {
+            self.suspects.calendar(frame.id.tx_node(), sync.calendar_digest, at);
+        }
+        if let Some(news) = self.clock.on_frame(frame, at) {
+            self.on_clock(news, at);
+        }
+        match ControlMessage::decode(frame) {
+            Some(ControlMessage::NodeStatus(status)) => self.on_status(&status, at),
+            Some(ControlMessage::Interest(interest)) => self.on_interest(&interest, at),
+            Some(ControlMessage::SupplyEtag(half)) => self.on_supply(half, at),
+            Some(ControlMessage::NodeIdentity(identity)) => self.on_claim(identity.tx_node, identity.uid, at),
+            Some(ControlMessage::BrokerStatus(status)) => self.on_heartbeat(status.tx_node, status.uid, at),
+            Some(ControlMessage::ConfigurationReply(ConfigurationReply::Assigned { uid, tx_node })) => {
+                if let Some(node) = self.nodes.get_mut(tx_node) {
+                    node.assign(uid, at);
+                }
+            }
+            Some(ControlMessage::ConfigurationRefusal(refusal)) => {
+                let text = format!("the broker has no TxNode left for the node with UID {}", refusal.uid);
+                let news = News::new(NoticeKind::Refused, text);
+                self.feed.add(news.because([ExceptionKind::ConfigurationRefused]), at);
+            }
+            Some(ControlMessage::Release(release)) => self.leave(release.tx_node, at),
+            _ => {}
+        }
+    }
+
+    fn on_clock(&mut self, news: ClockNews, at: Instant) {
+        self.slots.forget_occurrences();
+        let news = match news {
+            ClockNews::Master { from, before: None } => {
+                News::new(NoticeKind::Master, "the node is time master").of(from)
+            }
+            ClockNews::Master { from, before: Some(before) } => {
+                let text = format!("the node is time master, after node {before}");
+                News::new(NoticeKind::Master, text).of(from)
+            }
+            ClockNews::Step { from, by } => {
+                let text = format!("global time jumped by {:.6} s", by as f64 / 1e9);
+                self.suspects.clock_step(from, by, at);
+                News::new(NoticeKind::ClockStep, text).of(from).because([ExceptionKind::ClockOutOfBound])
+            }
+        };
+        self.feed.add(news, at);
+    }
+
+    fn on_status(&mut self, status: &NodeStatus, at: Instant) {
+        let tx_node = status.tx_node;
+        if status.state == NodeState::HardInhibited {
+            let mismatch = self.suspects.two_calendars(self.plan.as_ref(), at).is_some();
+            self.explain(
+                tx_node,
+                if mismatch { ExceptionKind::CalendarMismatch } else { ExceptionKind::ClockOutOfBound },
+            );
+        }
+        let Some(node) = self.nodes.get_mut(tx_node) else { return };
+        let told = node.on_status(status, at);
+        let evidence = node.evidence.take();
+        if told.left {
+            self.leave(tx_node, at);
+            return;
+        }
+        if told.restarted {
+            self.feed.add(News::new(NoticeKind::NodeRestarted, "the node has started again").of(tx_node), at);
+        }
+        if let Some(before) = told.state_before {
+            let text =
+                format!("the node is {}, after {}", decode::state(status.state), decode::state(before));
+            self.feed.add(News::new(NoticeKind::NodeState, text).of(tx_node), at);
+        }
+        if told.exceptions > 0 {
+            let text = match evidence.is_empty() {
+                true => "the node counted exceptions; nothing on the bus says which",
+                false => "the node counted exceptions; what was seen on the bus meanwhile may be why",
+            };
+            let news = News::new(NoticeKind::Exceptions, text).of(tx_node).times(told.exceptions.into());
+            self.feed.add(news.because(evidence), at);
+        }
+    }
+
+    fn leave(&mut self, tx_node: TxNode, at: Instant) {
+        if let Some(node) = self.nodes.get_mut(tx_node) {
+            node.release();
+        }
+        self.channels.forget_node(tx_node);
+        self.feed.add(News::new(NoticeKind::NodeLeft, "the node has left").of(tx_node), at);
+    }
+
+    fn on_interest(&mut self, interest: &Interest, at: Instant) {
+        let others = self.channels.on_interest(interest, at);
+        if others.is_empty() {
+            return;
+        }
+        others
+            .iter()
+            .chain([&interest.tx_node])
+            .for_each(|node| self.explain(*node, ExceptionKind::LayoutMismatch));
+        let names: Vec<String> = others.iter().map(ToString::to_string).collect();
+        let text = format!(
+            "the node lays out the content of this channel differently from node {}",
+            names.join(", ")
+        );
+        let news = News::new(NoticeKind::LayoutMismatch, text).of(interest.tx_node).on(interest.etag);
+        self.feed.add(news.because([ExceptionKind::LayoutMismatch]), at);
+    }
+
+    fn on_supply(&mut self, half: SupplyEtag, at: Instant) {
+        let Some(subject) = self.brokers.supply(half) else { return };
+        match half.answer() {
+            Answer::Bound(etag) => {
+                if let Some(before) = self.channels.bind(subject, etag, at) {
+                    self.brokers.contradict(subject, before, etag, at);
+                }
+            }
+            Answer::Refused => {
+                self.explain(half.requester(), ExceptionKind::BindingRefused);
+                let news =
+                    News::new(NoticeKind::Refused, format!("the broker has no etag for subject {subject}"));
+                self.feed.add(news.of(half.requester()).because([ExceptionKind::BindingRefused]), at);
+            }
+        }
+    }
+
+    fn on_claim(&mut self, tx_node: TxNode, uid: NodeUid, at: Instant) {
+        let Some(node) = self.nodes.get_mut(tx_node) else { return };
+        node.claim(uid, at);
+        if node.duplicate(at).is_some() {
+            self.explain(tx_node, ExceptionKind::DuplicateTxNode);
+            let news = News::new(NoticeKind::Duplicate, "two nodes claim this TxNode").of(tx_node);
+            self.feed.add(news.because([ExceptionKind::DuplicateTxNode]), at);
+        }
+    }
+
+    fn on_heartbeat(&mut self, tx_node: TxNode, uid: NodeUid, at: Instant) {
+        if let Some(node) = self.nodes.get_mut(tx_node)
+            && node.uid().is_none()
+        {
+            node.claim(uid, at);
+        }
+        if self.brokers.heartbeat(tx_node, uid, at) {
+            self.feed.add(News::new(NoticeKind::Broker, "the node is the active broker").of(tx_node), at);
+        }
+    }
+}
+
+/// With the space behind the frame.
+fn bits_of(frame: &WireFrame) -> u32 {
+    frame.bit_count() + INTERMISSION
+}
+
+const INTERMISSION: u32 = 3;
+/// How often silence and the like are looked for.
+const SWEEP: Duration = Duration::from_secs(1);

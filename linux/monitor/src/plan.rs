@@ -1,0 +1,163 @@
+//! The plan of the cluster, as a listener uses it: names, deadlines, slots.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::path::Path;
+
+use cosmic_core::can::{BitRate, Etag, TxNode};
+use cosmic_core::time::Duration;
+use cosmic_core::{NodeUid, Subject};
+use cosmic_plan::cluster::{Channel, Class, Cluster, Node};
+use cosmic_plan::document::Source;
+use cosmic_plan::plan::{Effort, Plan, PlannedSlot, plan};
+
+/// The description of a cluster with the calendar that was planned for it.
+#[derive(Clone, Debug)]
+pub struct SegmentPlan {
+    cluster: Cluster,
+    plan: Plan,
+    digest: u32,
+    by_etag: HashMap<Etag, usize>,
+    by_subject: HashMap<Subject, usize>,
+    by_node: HashMap<TxNode, usize>,
+    by_name: HashMap<String, usize>,
+}
+
+/// Why there is no plan: all that is wrong, with file, line and remedy.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct PlanRefused(String);
+
+impl fmt::Display for PlanRefused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for PlanRefused {}
+
+impl SegmentPlan {
+    /// Reads the description of a cluster and plans it, as the build of its programs does.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is wrong, or there is no calendar for it.
+    pub fn read(file: impl AsRef<Path>) -> Result<Self, PlanRefused> {
+        let file = file.as_ref();
+        let text = std::fs::read_to_string(file).map_err(|error| {
+            PlanRefused(format!(
+                "{} cannot be read: {error}; give the path of a cluster file",
+                file.display()
+            ))
+        })?;
+        Self::parse(&Source::new(file.display().to_string(), text))
+    }
+
+    /// As [`read`](Self::read), of a text.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn parse(source: &Source) -> Result<Self, PlanRefused> {
+        let cluster = Cluster::read(source)
+            .map_err(|problems| PlanRefused(problems.to_string().trim_end().to_owned()))?;
+        let refused = |what: &str| {
+            let name = source.name();
+            PlanRefused(format!("{name}: {what}; `cosmic-plan check {name}` says why, and what would help"))
+        };
+        let plan = plan(&cluster, &Effort::default())
+            .map_err(|_| refused("no calendar was found for this cluster"))?;
+        let digest = plan.calendar().map_err(|_| refused("its calendar is none"))?.digest();
+        Ok(Self::new(cluster, plan, digest))
+    }
+
+    fn new(cluster: Cluster, plan: Plan, digest: u32) -> Self {
+        let channels = || cluster.channels.iter().enumerate();
+        Self {
+            by_etag: channels().filter_map(|(at, channel)| Some((channel.etag?, at))).collect(),
+            by_subject: channels()
+                .filter_map(|(at, channel)| Some((Subject::new(channel.subject)?, at)))
+                .collect(),
+            by_node: cluster.nodes.iter().enumerate().map(|(at, node)| (node.tx_node, at)).collect(),
+            by_name: channels().map(|(at, channel)| (channel.name.clone(), at)).collect(),
+            cluster,
+            plan,
+            digest,
+        }
+    }
+
+    /// The description.
+    pub fn cluster(&self) -> &Cluster {
+        &self.cluster
+    }
+
+    /// The bit rate of the segment.
+    pub fn bit_rate(&self) -> BitRate {
+        self.cluster.segment.bit_rate
+    }
+
+    /// The digest of the calendar, as sync frames carry it.
+    pub fn digest(&self) -> u32 {
+        self.digest
+    }
+
+    /// The slots of the calendar, by phase.
+    pub fn slots(&self) -> &[PlannedSlot] {
+        self.plan.slots()
+    }
+
+    /// After this span the calendar repeats.
+    pub fn cycle(&self) -> Duration {
+        self.plan.cycle()
+    }
+
+    /// A channel by its position in the description.
+    pub fn channel(&self, at: usize) -> &Channel {
+        &self.cluster.channels[at]
+    }
+
+    /// The position of the channel with this etag, if the description fixes it.
+    pub fn channel_of_etag(&self, etag: Etag) -> Option<usize> {
+        self.by_etag.get(&etag).copied()
+    }
+
+    /// The position of the channel with this subject.
+    pub fn channel_of_subject(&self, subject: Subject) -> Option<usize> {
+        self.by_subject.get(&subject).copied()
+    }
+
+    /// The position of the channel of this name.
+    pub fn channel_named(&self, name: &str) -> Option<usize> {
+        self.by_name.get(name).copied()
+    }
+
+    /// The node with this TxNode.
+    pub fn node(&self, tx_node: TxNode) -> Option<&Node> {
+        self.by_node.get(&tx_node).map(|at| &self.cluster.nodes[*at])
+    }
+
+    /// The UID of the node with this TxNode.
+    pub fn uid_of(&self, tx_node: TxNode) -> Option<NodeUid> {
+        NodeUid::new(self.node(tx_node)?.uid)
+    }
+
+    /// Returns whether the description names this node as a publisher of the channel.
+    pub fn publishes(&self, tx_node: TxNode, channel: usize) -> bool {
+        self.node(tx_node).is_some_and(|node| node.publishes.contains(&channel))
+    }
+
+    /// Events a second of this channel at most, of all its publishers. A message of several frames counts as often as
+    /// it has frames.
+    pub fn most_frames_per_second(&self, channel: usize) -> f64 {
+        let Channel { recurrence, length, .. } = &self.cluster.channels[channel];
+        let publishers = self.cluster.publishers(channel).count().max(1) as f64;
+        let frames = match length {
+            0..=8 => 1,
+            longer => (u32::from(*longer) + 2).div_ceil(7),
+        };
+        publishers * f64::from(frames) * 1e9 / recurrence.span().as_ticks().max(1) as f64
+    }
+
+    /// The deadline of a soft real-time event from its publication.
+    pub(crate) fn soft_deadline(&self, channel: usize) -> Option<Duration> {
+        let channel = self.channel(channel);
+        channel.deadline.filter(|_| channel.class == Class::Soft)
+    }
+}
