@@ -16,6 +16,8 @@
 //! | `plan::CALENDAR` | the calendar; a program with one that was changed by hand does not compile |
 //! | `plan::SYNC` | the settings of the clock synchronisation, without a rank |
 //! | `plan::channels::wheel_speed::channel::<WheelSpeed>()` | the channel, with subject, etag and quality |
+//! | `plan::contents::WheelSpeed` | the type of a content that the description states |
+//! | `plan::channels::wheel_speed::CHANNEL` | the channel of such a content |
 //! | `plan::nodes::sensor::NODE` | what is this node's own, a [`NodePlan`] |
 //! | `plan::NODES`, `plan::CHANNELS` | all of them, in the order of the description |
 //! | `plan::Capacities` | how much a node has room for, a [`Capacity`](crate::event_half::Capacity) |
@@ -23,6 +25,7 @@
 use crate::calendar::Calendar;
 use crate::can::filter_banks::FilterBank;
 use crate::can::{Etag, TxNode};
+use crate::protocol::LayoutHash;
 use crate::sync::SyncConfig;
 use crate::uid::{NodeUid, Subject};
 
@@ -60,6 +63,13 @@ pub struct ChannelPlan {
     pub etag: Option<Etag>,
     /// Bytes of an event at most.
     pub len: usize,
+}
+
+/// Returns whether a content of this layout is the one that the plan describes: by the types of its fields (`wire`), or
+/// by these and what they mean (`layout`). Content that states no layout is taken as plain bytes.
+pub const fn content_fits(content: LayoutHash, wire: LayoutHash, layout: LayoutHash) -> bool {
+    let content = content.get();
+    content == LayoutHash::UNSTATED.get() || content == wire.get() || content == layout.get()
 }
 
 /// Declares the module `plan` with all that `cosmic_plan::compile` has made in the build script; see the

@@ -23,10 +23,7 @@ const FILE: &str = "plan.rs";
 /// If there is no plan, or the file is wrong, or something in it does not hold, the build ends here with all that
 /// is wrong: file, line, field and remedy.
 pub fn compile(file: impl AsRef<Path>) {
-    if let Err(error) = try_compile(file) {
-        eprintln!("{error}");
-        std::process::exit(1);
-    }
+    Config::default().compile(file);
 }
 
 /// As [`compile`], for a build script that has more to do with the error.
@@ -34,7 +31,47 @@ pub fn compile(file: impl AsRef<Path>) {
 /// # Errors
 /// See [`CompileError`].
 pub fn try_compile(file: impl AsRef<Path>) -> Result<(), CompileError> {
-    let file = file.as_ref();
+    Config::default().try_compile(file)
+}
+
+/// How a cluster is compiled.
+///
+/// ```no_run
+/// // The contents of the channels can then be logged.
+/// cosmic_plan::Config::default().derive("defmt::Format").compile("cluster.toml");
+/// ```
+#[derive(Clone, Default, Debug)]
+pub struct Config {
+    derives: Vec<String>,
+}
+
+impl Config {
+    /// The types of contents that the file describes derive this trait besides `Clone`, `Copy`, `PartialEq`, `Debug`,
+    /// and `Eq` if they can. The program must know it.
+    #[must_use]
+    pub fn derive(mut self, path: &str) -> Self {
+        self.derives.push(path.to_owned());
+        self
+    }
+
+    /// See [`compile`].
+    pub fn compile(&self, file: impl AsRef<Path>) {
+        if let Err(error) = self.try_compile(file) {
+            eprintln!("{error}");
+            std::process::exit(1);
+        }
+    }
+
+    /// See [`try_compile`].
+    ///
+    /// # Errors
+    /// See [`CompileError`].
+    pub fn try_compile(&self, file: impl AsRef<Path>) -> Result<(), CompileError> {
+        try_to_compile(file.as_ref(), &self.derives)
+    }
+}
+
+fn try_to_compile(file: &Path, derives: &[String]) -> Result<(), CompileError> {
     println!("cargo::rerun-if-changed={}", file.display());
     let out = env::var_os("OUT_DIR").map(PathBuf::from).ok_or(CompileError::NoBuildScript)?;
     let text = fs::read_to_string(file).map_err(|error| CompileError::Unreadable(file.into(), error))?;
@@ -43,13 +80,13 @@ pub fn try_compile(file: impl AsRef<Path>) -> Result<(), CompileError> {
     for other in &cluster.files {
         println!("cargo::rerun-if-changed={}", other.display());
     }
-    let rendered = planned(file, &cluster)?;
+    let rendered = planned(file, &cluster, derives)?;
     let path = out.join(FILE);
     fs::write(&path, rendered).map_err(|error| CompileError::Unwritable(path, error))
 }
 
 /// The text of the constants.
-fn planned(file: &Path, cluster: &Cluster) -> Result<String, CompileError> {
+fn planned(file: &Path, cluster: &Cluster, derives: &[String]) -> Result<String, CompileError> {
     let effort = Effort::default();
     let plan = plan(cluster, &effort).map_err(|failure| {
         let ways_out = match &failure {
@@ -68,7 +105,7 @@ fn planned(file: &Path, cluster: &Cluster) -> Result<String, CompileError> {
         return Err(CompileError::Unproven(file.into(), text::summary(cluster, &plan, &assessment)));
     }
     let name = file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    rust::render(cluster, &plan, &name).map_err(CompileError::NotRendered)
+    rust::render(cluster, &plan, &name, derives).map_err(CompileError::NotRendered)
 }
 
 /// Why a cluster is not built.

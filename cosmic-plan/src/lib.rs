@@ -1,7 +1,7 @@
 //! Planner and schedulability analysis for COSMIC segments.
 //!
 //! An engineer writes down the nodes and event channels of a segment in one TOML file
-//! ([`cluster`]). This crate finds a calendar for the hard real-time channels ([`plan`]), proves the
+//! ([`cluster`]), and what stands in their events ([`contents`]). This crate finds a calendar for the hard real-time channels ([`plan`]), proves the
 //! timing of everything else beside it ([`analysis`]), checks the result again from the definitions
 //! ([`verify`]) and writes what the firmware and other tools need ([`output`]).
 //!
@@ -19,6 +19,7 @@
 pub mod analysis;
 pub mod cluster;
 mod compile;
+pub mod contents;
 pub mod document;
 pub mod needs;
 pub mod node_filters;
@@ -27,4 +28,4 @@ pub mod plan;
 pub mod units;
 pub mod verify;
 
-pub use compile::{CompileError, compile, try_compile};
+pub use compile::{CompileError, Config, compile, try_compile};

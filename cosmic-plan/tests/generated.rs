@@ -10,7 +10,7 @@ use std::process::Command;
 fn rendered(text: &str) -> String {
     let cluster = Cluster::read(&Source::new("cluster.toml", text)).expect("it is well formed");
     let plan = plan(&cluster, &Effort::default()).expect("it fits");
-    rust::render(&cluster, &plan, "cluster.toml").expect("it can be written")
+    rust::render(&cluster, &plan, "cluster.toml", &[]).expect("it can be written")
 }
 
 fn tutorial(name: &str) -> String {

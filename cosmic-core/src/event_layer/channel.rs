@@ -96,6 +96,16 @@ impl<C: Content> Channel<C> {
         Self { declared: Declared { context: true, layout, len: C::LEN + 1, ..self.declared }, ..self }
     }
 
+    /// The channel, whose content means what this layout says: the plan of the cluster knows more of a content than
+    /// the types of its fields, such as a scale. Content that states no layout goes on stating none.
+    pub const fn with_layout(self, layout: LayoutHash) -> Self {
+        assert!(!self.declared.context, "the layout is that of the content, without its context");
+        if self.declared.layout.get() == LayoutHash::UNSTATED.get() {
+            return self;
+        }
+        Self { declared: Declared { layout, ..self.declared }, ..self }
+    }
+
     pub(crate) const fn declared(&self) -> Declared {
         self.declared
     }

@@ -4,7 +4,8 @@ use crate::can::Payload;
 use crate::protocol::LayoutHash;
 
 /// What a channel's events carry, at most eight bytes. Implemented by [`content!`](crate::content) for a
-/// struct, and for unsigned and signed integers, `bool`, and byte arrays.
+/// struct, and for unsigned and signed integers, `f32`, `f64`, `bool`, and byte arrays. `cosmic-plan` generates it for
+/// contents that the description of the cluster states.
 pub trait Content: Sized {
     /// How many bytes it takes, at most.
     const LEN: usize;
@@ -24,7 +25,7 @@ pub trait Content: Sized {
     fn decode(bytes: &[u8]) -> Option<Self>;
 }
 
-macro_rules! integer_content {
+macro_rules! number_content {
     ($($type:ty),*) => {$(
         impl Content for $type {
             const LEN: usize = size_of::<$type>();
@@ -45,7 +46,7 @@ macro_rules! integer_content {
     )*};
 }
 
-integer_content!(u8, u16, u32, u64, i8, i16, i32, i64);
+number_content!(u8, u16, u32, u64, i8, i16, i32, i64, f32, f64);
 
 impl Content for bool {
     const LEN: usize = 1;

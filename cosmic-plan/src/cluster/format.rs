@@ -4,6 +4,7 @@
 //! (`schema`) is made from them, so their documentation is the format's documentation. Their
 //! fields are optional where a mistake can leave them out; what must be there is marked `required`.
 
+use super::contents::{self, ContentTable};
 use super::values::{BindingName, ClassName, Name, PositiveSpan, Rate, Span, Succession, Uid};
 use crate::document::{At, Log, Node, Place, Source, Table};
 #[cfg(feature = "cli")]
@@ -23,6 +24,9 @@ pub struct ClusterFile {
     pub node: Vec<NodeTable>,
     /// The event channels.
     pub channel: Vec<ChannelTable>,
+    /// What stands in the bytes of events.
+    #[cfg_attr(feature = "cli", schemars(default))]
+    pub content: Vec<ContentTable>,
     /// Frames on the bus that are not COSMIC's.
     #[cfg_attr(feature = "cli", schemars(default))]
     pub foreign: Vec<ForeignTable>,
@@ -79,6 +83,9 @@ pub struct ErrorsTable {
     /// Where the table stands.
     #[cfg_attr(feature = "cli", schemars(skip))]
     pub place: Place,
+    /// Fields that stand there and are not what they should be.
+    #[cfg_attr(feature = "cli", schemars(skip))]
+    pub malformed: Vec<&'static str>,
 }
 
 /// A node.
@@ -123,8 +130,11 @@ pub struct ChannelTable {
     /// Its class.
     #[cfg_attr(feature = "cli", schemars(required))]
     pub class: Option<At<ClassName>>,
-    /// Bytes of an event at most: 0..=8; non real-time up to 1024, in fragments.
-    #[cfg_attr(feature = "cli", schemars(required, range(min = 0, max = 1024)))]
+    /// What stands in its events: the name of a [[content]].
+    pub content: Option<At<String>>,
+    /// Bytes of an event at most: 0..=8; non real-time up to 1024, in fragments. That of the content if not given;
+    /// must be given if there is none.
+    #[cfg_attr(feature = "cli", schemars(range(min = 0, max = 1024)))]
     pub length: Option<At<u16>>,
     /// One event in every period. Either this or `min_interarrival`.
     pub period: Option<At<PositiveSpan>>,
@@ -155,6 +165,9 @@ pub struct ChannelTable {
     /// Where the table stands.
     #[cfg_attr(feature = "cli", schemars(skip))]
     pub place: Place,
+    /// Fields that stand there and are not what they should be.
+    #[cfg_attr(feature = "cli", schemars(skip))]
+    pub malformed: Vec<&'static str>,
 }
 
 /// "This after that, at most so much later."
@@ -195,6 +208,9 @@ pub struct ForeignTable {
     /// Where the table stands.
     #[cfg_attr(feature = "cli", schemars(skip))]
     pub place: Place,
+    /// Fields that stand there and are not what they should be.
+    #[cfg_attr(feature = "cli", schemars(skip))]
+    pub malformed: Vec<&'static str>,
 }
 
 /// Slots that follow each other and share one fault budget.
@@ -237,11 +253,12 @@ pub fn read(source: &Source, log: &Log) -> ClusterFile {
         errors: table.node("errors").map(|node| read_errors(&Table::new(node, "errors", log))),
         node: read_all(&table, "node", log, read_node),
         channel: read_all(&table, "channel", log, read_channel),
+        content: read_all(&table, "content", log, contents::read),
         foreign: read_all(&table, "foreign", log, read_foreign),
         pool: read_all(&table, "pool", log, read_pool),
     };
     for (field, count) in [("node", file.node.len()), ("channel", file.channel.len())] {
-        if count == 0 {
+        if count == 0 && !table.malformed().contains(&field) {
             let help = format!("write at least one [[{field}]]; `cosmic-plan new` shows how");
             table.problem(field, 0..0, "is missing", help);
         }
@@ -250,13 +267,19 @@ pub fn read(source: &Source, log: &Log) -> ClusterFile {
     file
 }
 
-fn read_all<T>(table: &Table<'_>, field: &'static str, log: &Log, read: fn(&Table<'_>, &Log) -> T) -> Vec<T> {
+pub(super) fn read_all<T>(
+    table: &Table<'_>,
+    field: &'static str,
+    log: &Log,
+    read: fn(&Table<'_>, &Log) -> T,
+) -> Vec<T> {
+    let outer = table;
     let items = table.nodes(field).unwrap_or_default();
     let read_one = |(at, item): (usize, &Node)| {
-        let mut table = Table::new(item, format!("{field}[{at}]"), log);
+        let mut table = Table::new(item, table.path_of(&format!("{field}[{at}]")), log);
         // From its second field on an entry is known by its name, if it has one.
         if let Some(Node { kind: crate::document::Kind::Text(name), .. }) = table.node("name") {
-            table.rename(format!("{field}.{name}"));
+            table.rename(outer.path_of(&format!("{field}.{name}")));
         }
         read(&table, log)
     };
@@ -286,6 +309,7 @@ fn read_errors(table: &Table<'_>) -> ErrorsTable {
         count: table.optional("count"),
         window: table.optional("window"),
         place: table.place(),
+        malformed: table.malformed(),
     };
     table.finish();
     errors
@@ -312,7 +336,8 @@ fn read_channel(table: &Table<'_>, log: &Log) -> ChannelTable {
         name: table.required("name", "give the channel a name: name = \"wheel_speed\""),
         subject: table.required("subject", "give the channel a subject: subject = \"0x1122334455667788\""),
         class: table.required("class", "write class = \"HRT\", \"SRT\" or \"NRT\""),
-        length: table.required("length", "write how many bytes an event has at most: length = 4"),
+        content: table.optional("content"),
+        length: table.optional("length"),
         period: table.optional("period"),
         min_interarrival: table.optional("min_interarrival"),
         jitter: table.optional("jitter"),
@@ -325,6 +350,7 @@ fn read_channel(table: &Table<'_>, log: &Log) -> ChannelTable {
         importance: table.optional("importance"),
         etag: table.optional("etag"),
         place: table.place(),
+        malformed: table.malformed(),
     };
     table.finish();
     channel
@@ -350,6 +376,7 @@ fn read_foreign(table: &Table<'_>, _: &Log) -> ForeignTable {
         deadline: table.optional("deadline"),
         dbc: table.optional("dbc"),
         place: table.place(),
+        malformed: table.malformed(),
     };
     table.finish();
     foreign

@@ -4,12 +4,14 @@
 //! is wrong with the file. What the file may say is in [`format`](mod@format); whether a calendar exists for it is
 //! not asked here.
 
+mod contents;
 mod dbc;
 pub mod format;
 mod validate;
 pub mod values;
 
 use crate::analysis::errors::ErrorModel;
+use crate::contents::Layout;
 use crate::document::{Problems, Source};
 use cosmic_core::calendar::Segment;
 use cosmic_core::can::{Etag, Priority, TxNode};
@@ -44,6 +46,8 @@ pub struct Cluster {
     pub nodes: Vec<Node>,
     /// The event channels, in the order of the file.
     pub channels: Vec<Channel>,
+    /// What stands in the bytes of events, in the order of the file.
+    pub contents: Vec<Layout>,
     /// Frames on the bus that are not COSMIC's.
     pub foreign: Vec<Foreign>,
     /// Groups of hard real-time channels that share one fault budget.
@@ -115,6 +119,8 @@ pub struct Channel {
     pub etag: Option<Etag>,
     /// Bytes of an event at most.
     pub length: u16,
+    /// What stands in them: a position in [`Cluster::contents`].
+    pub content: Option<usize>,
     /// How events follow each other.
     pub recurrence: Recurrence,
     /// Soft and non real-time: how late an event may be published after its nominal instant. Hard
@@ -229,6 +235,11 @@ impl Cluster {
         let period = self.sync_period?;
         let stamp_error = SyncConfig::stamp_error_for(self.segment.bit_rate, self.stamp_latency);
         Some(SyncConfig { period, stamp_error, ..SyncConfig::DEFAULT })
+    }
+
+    /// What stands in the events of a channel; `None` if the file does not say.
+    pub fn layout_of(&self, channel: &Channel) -> Option<&Layout> {
+        self.contents.get(channel.content?)
     }
 
     /// The nodes that publish a channel.

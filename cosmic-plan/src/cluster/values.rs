@@ -1,5 +1,6 @@
 //! The types that fields of a cluster file have.
 
+use crate::contents::Decimal;
 use crate::document::{FromNode, Kind, Mismatch, Node};
 use crate::units;
 use cosmic_core::can::BitRate;
@@ -184,12 +185,22 @@ const KEYWORDS: [&str; 50] = [
 
 impl FromNode for Name {
     fn from_node(node: &Node) -> Result<Self, Mismatch> {
-        let text = String::from_node(node)?;
+        Self::check(&String::from_node(node)?).map(Self)
+    }
+}
+
+impl Name {
+    /// The name, if it is one.
+    pub(super) fn check(text: &str) -> Result<String, Mismatch> {
         let help = "write lower-case letters, digits and underscores, a letter first, no word of Rust";
         let legal = text.starts_with(|c: char| c.is_ascii_lowercase())
             && text.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
-            && !KEYWORDS.contains(&text.as_str());
-        if legal { Ok(Self(text)) } else { Err(Mismatch::new(format!("{text:?} cannot be a name"), help)) }
+            && !KEYWORDS.contains(&text);
+        if legal {
+            Ok(text.to_owned())
+        } else {
+            Err(Mismatch::new(format!("{text:?} cannot be a name"), help))
+        }
     }
 }
 
@@ -219,6 +230,41 @@ macro_rules! choice {
             }
         }
     };
+}
+
+/// An exact decimal.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct DecimalNumber(pub Decimal);
+
+described!(DecimalNumber, "DecimalNumber", {
+    "type": "number",
+    "description": "A decimal number, which is taken exactly: 0.01, -40."
+});
+
+impl FromNode for DecimalNumber {
+    fn from_node(node: &Node) -> Result<Self, Mismatch> {
+        let number = match &node.kind {
+            Kind::Number(text, 10) => Decimal::parse(text),
+            Kind::Number(text, base) => {
+                i128::from_str_radix(&text.replace('_', ""), *base).ok().map(|number| Decimal::new(number, 0))
+            }
+            _ => None,
+        };
+        number.map(Self).ok_or_else(|| {
+            let what = format!("{} is not a decimal number of at most 18 digits", node.describe());
+            Mismatch::new(what, "write a number without quotes, such as 0.01 or -40")
+        })
+    }
+}
+
+choice! {
+    /// How bits and bytes follow each other.
+    OrderName {
+        /// The most significant first (Motorola).
+        Big = "big",
+        /// The least significant first (Intel).
+        Little = "little",
+    }
 }
 
 choice! {

@@ -18,7 +18,8 @@ pub(super) fn build(file: &Path, out: &Path, json: bool) -> Result<ExitCode, Fai
     let planned = planned(file, json)?;
     let (cluster, plan, assessment) = (&planned.cluster, &planned.plan, &planned.assessment);
     let name = file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    let calendar = rust::render(cluster, plan, &name).map_err(|error| Failure::Line(error.to_string()))?;
+    let calendar =
+        rust::render(cluster, plan, &name, &[]).map_err(|error| Failure::Line(error.to_string()))?;
     let machine = report::of_plan(cluster, plan, assessment);
     let files = [
         ("calendar.rs", calendar),

@@ -92,6 +92,7 @@ pub struct Table<'a> {
     place: Place,
     path: String,
     asked: RefCell<Vec<&'static str>>,
+    malformed: RefCell<Vec<&'static str>>,
     refused: RefCell<Vec<&'static str>>,
     log: &'a Log,
 }
@@ -115,6 +116,7 @@ impl<'a> Table<'a> {
             place: node.place.clone(),
             path,
             asked: RefCell::default(),
+            malformed: RefCell::default(),
             refused: RefCell::default(),
             log,
         }
@@ -155,6 +157,17 @@ impl<'a> Table<'a> {
         self.entries.iter().find(|(key, _)| key.value == field).map(|(_, node)| node)
     }
 
+    /// Returns whether the field stands there, well formed or not.
+    pub fn stands(&self, field: &str) -> bool {
+        self.entries.iter().any(|(key, _)| key.value == field)
+    }
+
+    /// The fields that stand there and are not what they should be. To say that one of them is missing would be a
+    /// second mistake for one.
+    pub fn malformed(&self) -> Vec<&'static str> {
+        self.malformed.borrow().clone()
+    }
+
     /// The field, if it stands there; a mismatch is noted.
     pub fn optional<T: FromNode>(&self, field: &'static str) -> Option<At<T>> {
         let node = self.node(field)?;
@@ -187,16 +200,18 @@ impl<'a> Table<'a> {
             Kind::Array(items) => Some(items),
             _ => {
                 let what = format!("{} is not a list", node.describe());
+                self.malformed.borrow_mut().push(field);
                 self.problem(field, node.place.clone(), what, "write a list in brackets: [ ... ]");
                 None
             }
         }
     }
 
-    fn convert<T: FromNode>(&self, field: &str, node: &Node) -> Option<At<T>> {
+    fn convert<T: FromNode>(&self, field: &'static str, node: &Node) -> Option<At<T>> {
         match T::from_node(node) {
             Ok(value) => Some(At { value, place: node.place.clone() }),
             Err(Mismatch { what, help }) => {
+                self.malformed.borrow_mut().push(field);
                 self.problem(field, node.place.clone(), what, help);
                 None
             }

@@ -148,7 +148,7 @@ mod tests {
         assert_eq!(read.messages.len(), cluster.channels.len() + 2);
         let wheel_speed = read.messages.iter().find(|m| m.name == "wheel_speed").expect("it is there");
         assert_eq!(wheel_speed.id, can_dbc::MessageId::Extended(1 << 14 | 100));
-        assert_eq!(wheel_speed.signals.len(), 8);
+        assert_eq!(wheel_speed.signals.len(), 7);
         assert_eq!(wheel_speed.transmitter.as_deref(), Some("sensor"));
     }
 }

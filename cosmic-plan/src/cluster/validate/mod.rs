@@ -2,10 +2,12 @@
 
 mod segment;
 
+use super::contents::Contents;
 use super::format::{self, ChannelTable, ClusterFile, ForeignTable, NodeTable};
 use super::values::{BindingName, ClassName};
 use super::{After, Binding, Channel, Class, Cluster, Foreign, Node, Pool, Recurrence, Wishes, dbc};
 use crate::analysis::errors::ErrorModel;
+use crate::contents::Layout;
 use crate::document::{At, Log, Place, Problem, Problems, Source, nearest};
 use crate::units::show;
 use cosmic_core::calendar::Calendar;
@@ -41,7 +43,10 @@ impl Checker<'_> {
     fn cluster(&self, file: &ClusterFile, folder: &Path) -> Cluster {
         let (segment, priority_step) = self.segment(&file.segment);
         let names: Vec<&str> = file.channel.iter().map(|c| name_of(&c.name)).collect();
-        let mut channels: Vec<Channel> = file.channel.iter().map(|c| self.channel(c, &names)).collect();
+        let contents = Contents { log: self.log }.layouts(&file.content);
+        self.unique("content", file.content.iter().map(|c| (&c.name, &c.place)), |at| at.value.0.clone());
+        let mut channels: Vec<Channel> =
+            file.channel.iter().map(|c| self.channel(c, &names, &contents)).collect();
         let binding = match file.segment.binding.as_ref().map(|at| at.value) {
             Some(BindingName::Broker) => Binding::Broker,
             _ => Binding::Static,
@@ -68,6 +73,7 @@ impl Checker<'_> {
             errors: file.errors.as_ref().map_or(ErrorModel::None, |errors| self.errors(errors)),
             nodes,
             channels,
+            contents,
             foreign: file.foreign.iter().flat_map(|f| self.foreign(f, folder)).collect(),
             pools: Vec::new(),
             files: file
@@ -84,14 +90,15 @@ impl Checker<'_> {
         Cluster { pools, ..cluster }
     }
 
-    fn channel(&self, table: &ChannelTable, names: &[&str]) -> Channel {
+    fn channel(&self, table: &ChannelTable, names: &[&str], contents: &[Layout]) -> Channel {
         let name = name_of(&table.name);
         let field = |field: &str| format!("channel.{name}.{field}");
         let class_name = table.class.as_ref().map_or(ClassName::Soft, |at| at.value);
         self.fields_of_class(table, class_name);
         let recurrence = self.recurrence(table, &field);
         let deadline = table.deadline.as_ref().map(|at| at.value.0);
-        if class_name == ClassName::Soft && table.class.is_some() && deadline.is_none() {
+        let missing = deadline.is_none() && !table.malformed.contains(&"deadline");
+        if class_name == ClassName::Soft && table.class.is_some() && missing {
             let help = "soft real-time channels need one: deadline = \"20 ms\"";
             self.problem(&start_of(&table.place), field("deadline"), "is missing", help);
         }
@@ -103,23 +110,60 @@ impl Checker<'_> {
             ClassName::Soft => Class::Soft,
             ClassName::NonRealTime => Class::NonRealTime { importance: self.importance(table, &field) },
         };
-        let length = table.length.as_ref().map_or(0, |at| at.value);
         let most = if class_name == ClassName::NonRealTime { LONGEST_EVENT } else { Payload::MAX_LEN as u16 };
-        if let Some(at) = table.length.as_ref().filter(|at| at.value > most) {
-            let help = format!("write at most {most}; longer events (up to {LONGEST_EVENT}) are NRT");
-            self.problem(&at.place, field("length"), format!("{length} bytes are too many"), help);
-        }
+        let (length, content) = self.length(table, contents, most, &field);
         Channel {
             name: name.to_owned(),
             subject: table.subject.as_ref().map_or(1, |at| at.value.0),
             etag: None,
             length,
+            content,
             recurrence,
             jitter: table.jitter.as_ref().map_or(ZERO, |at| at.value.0),
             deadline,
             validity: table.validity.as_ref().map(|at| at.value.0),
             class,
         }
+    }
+
+    /// Bytes of an event, and what stands in them.
+    fn length(
+        &self,
+        table: &ChannelTable,
+        contents: &[Layout],
+        most: u16,
+        field: &dyn Fn(&str) -> String,
+    ) -> (u16, Option<usize>) {
+        let content = table.content.as_ref().and_then(|at| {
+            let names: Vec<&str> = contents.iter().map(|layout| layout.name.as_str()).collect();
+            self.resolve(at, &names, field("content"), "content")
+        });
+        let of_content = content.map(|at| contents[at].len).and_then(|len| u16::try_from(len).ok());
+        let help = format!("write at most {most}; longer events (up to {LONGEST_EVENT}) are NRT");
+        match (&table.length, of_content) {
+            (Some(at), _) if at.value > most => {
+                self.problem(&at.place, field("length"), format!("{} bytes are too many", at.value), help);
+            }
+            (Some(at), Some(len)) if at.value != len => {
+                let what = format!("{} is not the length of the content, {len}", at.value);
+                self.problem(&at.place, field("length"), what, "leave it out: the content says it");
+            }
+            (None, Some(len)) if len > most => {
+                let place = table.content.as_ref().map_or(0..0, |at| at.place.clone());
+                let help = format!("take fields out; longer events (up to {LONGEST_EVENT}) are NRT");
+                self.problem(&place, field("content"), format!("its {len} bytes are more than {most}"), help);
+            }
+            (None, None) if table.content.is_none() && !self.is_malformed(table, &["length", "content"]) => {
+                let help = "write how many bytes an event has at most: length = 4; or its content";
+                self.problem(&start_of(&table.place), field("length"), "is missing", help);
+            }
+            _ => {}
+        }
+        (table.length.as_ref().map(|at| at.value).or(of_content).unwrap_or(0), content)
+    }
+
+    fn is_malformed(&self, table: &ChannelTable, fields: &[&str]) -> bool {
+        table.malformed.iter().any(|field| fields.contains(field))
     }
 
     fn importance(&self, table: &ChannelTable, field: &dyn Fn(&str) -> String) -> u8 {
@@ -136,10 +180,13 @@ impl Checker<'_> {
         match (&table.period, &table.min_interarrival) {
             (Some(period), None) => Recurrence::Periodic(period.value.0),
             (None, Some(distance)) => Recurrence::Sporadic(distance.value.0),
+            (None, None) if self.is_malformed(table, &["period", "min_interarrival"]) => {
+                Recurrence::Periodic(UNKNOWN_PERIOD)
+            }
             (None, None) => {
                 let help = "write period = \"10 ms\", or min_interarrival = \"10 ms\" for sporadic events";
                 self.problem(&start_of(&table.place), field("period"), "is missing", help);
-                Recurrence::Periodic(Duration::from_secs(1))
+                Recurrence::Periodic(UNKNOWN_PERIOD)
             }
             (Some(period), Some(distance)) => {
                 let what = "stands beside period";
@@ -196,7 +243,7 @@ impl Checker<'_> {
         }
         let after = table.after.as_ref().and_then(|after| {
             let at = after.channel.as_ref()?;
-            let channel = self.resolve(at, names, format!("channel.{name}.after.channel"))?;
+            let channel = self.resolve(at, names, format!("channel.{name}.after.channel"), "channel")?;
             if names[channel] == name {
                 let help = "name another channel";
                 self.problem(
@@ -216,14 +263,14 @@ impl Checker<'_> {
         }
     }
 
-    fn resolve(&self, at: &At<String>, names: &[&str], field: String) -> Option<usize> {
+    fn resolve(&self, at: &At<String>, names: &[&str], field: String, kind: &str) -> Option<usize> {
         let found = names.iter().position(|name| *name == at.value);
         if found.is_none() {
             let help = match nearest(&at.value, names.iter().copied()) {
                 Some(name) => format!("did you mean `{name}`?"),
-                None => format!("write a [[channel]] with name = {:?}", at.value),
+                None => format!("write a [[{kind}]] with name = {:?}", at.value),
             };
-            self.problem(&at.place, field, format!("there is no channel {:?}", at.value), help);
+            self.problem(&at.place, field, format!("there is no {kind} {:?}", at.value), help);
         }
         found
     }
@@ -263,7 +310,7 @@ impl Checker<'_> {
         }
         let resolve = |list: &[At<String>], field: &str| {
             let path = format!("node.{name}.{field}");
-            list.iter().filter_map(|at| self.resolve(at, names, path.clone())).collect()
+            list.iter().filter_map(|at| self.resolve(at, names, path.clone(), "channel")).collect()
         };
         Node {
             name: name.to_owned(),
@@ -356,7 +403,7 @@ impl Checker<'_> {
     fn hyperperiod(&self, file: &ClusterFile, cluster: &Cluster) {
         let mut cycle: u64 = 1;
         for (channel, table) in cluster.channels.iter().zip(&file.channel) {
-            if !matches!(channel.class, Class::Hard { .. }) {
+            if !matches!(channel.class, Class::Hard { .. }) || channel.recurrence.span() == UNKNOWN_PERIOD {
                 continue;
             }
             let period = channel.recurrence.span().as_ticks();
@@ -389,8 +436,10 @@ impl Checker<'_> {
             return frames;
         }
         let (Some(id), Some(length), Some(period)) = (&table.id, &table.length, period) else {
-            let help = "write id, length and period of the frame, or dbc = \"file.dbc\"";
-            self.problem(&start_of(&table.place), format!("foreign.{name}"), "is incomplete", help);
+            if table.malformed.is_empty() {
+                let help = "write id, length and period of the frame, or dbc = \"file.dbc\"";
+                self.problem(&start_of(&table.place), format!("foreign.{name}"), "is incomplete", help);
+            }
             return Vec::new();
         };
         let extended = table.extended.as_ref().map_or(id.value > 0x7FF, |at| at.value);
@@ -428,7 +477,9 @@ impl Checker<'_> {
         let names: Vec<&str> = cluster.channels.iter().map(|c| c.name.as_str()).collect();
         let mut pool = Pool { channels: Vec::new(), faults: table.faults.as_ref().map_or(1, |at| at.value) };
         for at in &table.channels {
-            let Some(channel) = self.resolve(at, &names, "pool.channels".to_owned()) else { continue };
+            let Some(channel) = self.resolve(at, &names, "pool.channels".to_owned(), "channel") else {
+                continue;
+            };
             let wrong = match &cluster.channels[channel].class {
                 Class::Hard { .. } if pool.channels.contains(&channel) => Some("stands there twice"),
                 Class::Hard { .. } => None,
@@ -488,5 +539,8 @@ fn gcd(mut a: u64, mut b: u64) -> u64 {
 
 const ABOVE_HARD: &str = "choose identifiers from 0x8 (11 bits) or 0x200000 (29 bits) up";
 
+/// Stands in for a period that is not known. Longer than any, so that nothing in the channel is too long for it.
+const UNKNOWN_PERIOD: Duration = crate::units::LONGEST_SPAN;
+
 /// Bytes of the longest fragmented event.
-const LONGEST_EVENT: u16 = 1024;
+pub(super) const LONGEST_EVENT: u16 = 1024;

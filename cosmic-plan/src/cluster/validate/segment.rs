@@ -61,6 +61,7 @@ impl Checker<'_> {
             (None, None, Some(count), Some(window)) => {
                 ErrorModel::Window { count: count.value, window: window.value.0 }
             }
+            _ if !table.malformed.is_empty() => ErrorModel::None,
             _ => {
                 let what = "is neither of the two models";
                 let help = "write burst and interval, or count and window";

@@ -2,8 +2,10 @@
 
 use super::{CORE, DURATION, duration, subject};
 use crate::cluster::{Channel, Class, Cluster, Recurrence};
+use crate::contents::Layout;
 use crate::plan::Plan;
 use cosmic_core::can::Payload;
+use cosmic_core::protocol::LayoutHash;
 use std::fmt::Write as _;
 
 pub(super) fn write(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fmt::Result {
@@ -12,7 +14,7 @@ pub(super) fn write(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fm
     for (at, channel) in cluster.channels.iter().enumerate() {
         let slots: Vec<usize> = (0..plan.slots().len()).filter(|s| plan.slots()[*s].channel == at).collect();
         let degree = slots.first().map(|slot| plan.slots()[*slot].slot.omission_degree);
-        write_channel(out, channel, &slots, degree)?;
+        write_channel(out, channel, cluster.layout_of(channel), &slots, degree)?;
     }
     writeln!(out, "}}\n")?;
     writeln!(out, "/// All channels, in the order of the description.")?;
@@ -32,6 +34,7 @@ pub(super) fn write(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fm
 fn write_channel(
     out: &mut String,
     channel: &Channel,
+    layout: Option<&Layout>,
     slots: &[usize],
     degree: Option<u8>,
 ) -> std::fmt::Result {
@@ -58,11 +61,11 @@ fn write_channel(
     }
     let (of, value) = attributes(channel, degree);
     constant("The quality that the channel is announced with.", "ATTRIBUTES", &of, value)?;
-    write_constructor(out, channel)?;
+    write_constructor(out, channel, layout)?;
     writeln!(out, "    }}")
 }
 
-fn write_constructor(out: &mut String, channel: &Channel) -> std::fmt::Result {
+fn write_constructor(out: &mut String, channel: &Channel, layout: Option<&Layout>) -> std::fmt::Result {
     let of = format!("{CORE}::event_layer::Channel");
     let etag = if channel.etag.is_some() { ".with_etag(ETAG)" } else { "" };
     let value = match channel.class {
@@ -76,14 +79,41 @@ fn write_constructor(out: &mut String, channel: &Channel) -> std::fmt::Result {
         writeln!(out, "            {value}")?;
         return writeln!(out, "        }}");
     }
-    writeln!(
-        out,
-        "        /// The channel, for events of this content. It does not compile if they are longer."
-    )?;
+    match layout {
+        None => writeln!(
+            out,
+            "        /// The channel, for events of this content. It does not compile if they are longer."
+        )?,
+        Some(layout) => {
+            writeln!(out, "        /// The channel, for events of its content.")?;
+            let content = layout.type_name();
+            writeln!(out, "        pub const CHANNEL: {of}<super::super::contents::{content}> = channel();")?;
+            writeln!(
+                out,
+                "        /// The channel, for content that was written in Rust or is taken as bytes. It does not"
+            )?;
+            writeln!(
+                out,
+                "        /// compile if its fields have other types than those of the description."
+            )?;
+        }
+    }
     writeln!(out, "        pub const fn channel<C: {CORE}::event_layer::Content>() -> {of}<C> {{")?;
     let problem = format!("the content is longer than the plan says of channel {}", channel.name);
     writeln!(out, "            const {{ ::core::assert!(C::LEN <= LENGTH, {problem:?}) }};")?;
-    writeln!(out, "            {value}")?;
+    if let Some(layout) = layout {
+        let hash = |hash: LayoutHash| format!("{CORE}::protocol::LayoutHash::new({:#010x})", hash.get());
+        let (wire, layout_hash) = (hash(layout.wire_hash()), hash(layout.layout_hash()));
+        let problem =
+            format!("the fields of this type are not those that the plan states of content {}", layout.name);
+        writeln!(out, "            const LAYOUT: {CORE}::protocol::LayoutHash = {layout_hash};")?;
+        writeln!(out, "            const WIRE: {CORE}::protocol::LayoutHash = {wire};")?;
+        let fits = format!("{CORE}::plan::content_fits(C::LAYOUT, WIRE, LAYOUT)");
+        writeln!(out, "            const {{ ::core::assert!({fits}, {problem:?}) }};")?;
+        writeln!(out, "            {value}.with_layout(LAYOUT)")?;
+    } else {
+        writeln!(out, "            {value}")?;
+    }
     writeln!(out, "        }}")
 }
 

@@ -7,6 +7,7 @@
 //! [`Calendar::checked`]: cosmic_core::calendar::Calendar::checked
 
 mod channels;
+mod contents;
 mod nodes;
 
 use crate::cluster::Cluster;
@@ -38,11 +39,17 @@ impl fmt::Display for NotRendered {
 
 impl std::error::Error for NotRendered {}
 
-/// The text of the file.
+/// The text of the file. The types of contents implement these traits besides `Clone`, `Copy`, `PartialEq`, `Debug`,
+/// and `Eq` if they can.
 ///
 /// # Errors
 /// See [`NotRendered`].
-pub fn render(cluster: &Cluster, plan: &Plan, source_name: &str) -> Result<String, NotRendered> {
+pub fn render(
+    cluster: &Cluster,
+    plan: &Plan,
+    source_name: &str,
+    derives: &[String],
+) -> Result<String, NotRendered> {
     let digest = plan.calendar().map_err(NotRendered::Calendar)?.digest();
     let filters = crate::node_filters::of_all(cluster, plan).map_err(NotRendered::Filters)?;
     let mut out = String::new();
@@ -51,6 +58,7 @@ pub fn render(cluster: &Cluster, plan: &Plan, source_name: &str) -> Result<Strin
     let _ = write_calendar(&mut out, cluster, plan, digest);
     let _ = write_clock(&mut out, cluster);
     let _ = write_needs(&mut out, Needs::of(cluster, plan));
+    let _ = contents::write(&mut out, cluster, derives);
     let _ = channels::write(&mut out, cluster, plan);
     let _ = nodes::write(&mut out, cluster, &filters);
     Ok(out)
