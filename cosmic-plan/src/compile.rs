@@ -2,6 +2,7 @@
 
 use crate::analysis::segment::assess;
 use crate::cluster::Cluster;
+use crate::document::file::read_text;
 use crate::document::{Problems, Source};
 use crate::output::{rust, text};
 use crate::plan::relax::{relaxations, relaxations_of_the_largest};
@@ -74,7 +75,7 @@ impl Config {
 fn try_to_compile(file: &Path, derives: &[String]) -> Result<(), CompileError> {
     println!("cargo::rerun-if-changed={}", file.display());
     let out = env::var_os("OUT_DIR").map(PathBuf::from).ok_or(CompileError::NoBuildScript)?;
-    let text = fs::read_to_string(file).map_err(|error| CompileError::Unreadable(file.into(), error))?;
+    let text = read_text(file).map_err(|error| CompileError::Unreadable(file.into(), error))?;
     let source = Source::new(file.display().to_string(), text);
     let cluster = Cluster::read(&source).map_err(CompileError::Document)?;
     for other in &cluster.files {

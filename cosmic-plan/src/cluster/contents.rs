@@ -238,7 +238,7 @@ impl Contents<'_> {
         if let Some(at) = table.count.as_ref().filter(|at| at.value == 0) {
             self.problem(&at.place, format!("{path}.count"), "is zero", "write at least 1, or leave it out");
         }
-        let usual = if kind.bits() % 8 == 0 { behind.next_multiple_of(8) } else { behind };
+        let usual = if kind.bits().is_multiple_of(8) { behind.next_multiple_of(8) } else { behind };
         let at = table.at.as_ref().map_or(usual, |at| usize::from(at.value));
         self.fits_its_type(table, kind, path);
         let scaling = self.scaling(table, kind, path);

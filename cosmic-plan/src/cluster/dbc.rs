@@ -2,6 +2,8 @@
 
 use super::Foreign;
 #[cfg(feature = "dbc")]
+use crate::document::file;
+#[cfg(feature = "dbc")]
 use can_dbc::{AttributeValue, Dbc, MessageId};
 use cosmic_core::time::Duration;
 use std::path::Path;
@@ -20,10 +22,11 @@ const NO_MESSAGE: &str = "VECTOR__INDEPENDENT_SIG_MSG";
 /// # Errors
 /// What is wrong and what would be right.
 pub(super) fn read(path: &Path, default_period: Option<Duration>) -> Result<Vec<Foreign>, (String, String)> {
-    let text = std::fs::read_to_string(path).map_err(|error| {
+    let bytes = file::read(path).map_err(|error| {
         let help = "give the path of a DBC file, relative to the cluster file".to_owned();
         (format!("{} cannot be read: {error}", path.display()), help)
     })?;
+    let text = file::decode(&bytes);
     let dbc = Dbc::try_from(text.as_str()).map_err(|error| {
         (format!("{} is no DBC file: {error}", path.display()), "repair or export it again".to_owned())
     })?;

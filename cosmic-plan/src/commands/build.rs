@@ -26,7 +26,7 @@ pub(super) fn build(file: &Path, out: &Path, json: bool) -> Result<ExitCode, Fai
         ("report.json", format!("{machine:#}\n")),
         ("report.txt", text::of_plan(cluster, plan, assessment)),
         ("timeline.svg", svg::render(cluster, plan)),
-        ("segment.dbc", dbc::render(cluster)),
+        ("segment.dbc", dbc::render(cluster, dbc::Identifiers::One)),
     ];
     std::fs::create_dir_all(out).map_err(|error| {
         Failure::Line(format!("{} cannot be made: {error}; choose another --out", out.display()))

@@ -2,6 +2,7 @@
 
 use cosmic_plan::analysis::segment::{Assessment, assess};
 use cosmic_plan::cluster::Cluster;
+use cosmic_plan::document::file::read_text;
 use cosmic_plan::document::{Problems, Source};
 use cosmic_plan::output::{report, text};
 use cosmic_plan::plan::relax::{relaxations, relaxations_of_the_largest};
@@ -52,7 +53,7 @@ impl Failure {
 
 /// Reads a document.
 pub(super) fn source(file: &Path) -> Result<Source, Failure> {
-    let text = std::fs::read_to_string(file).map_err(|error| {
+    let text = read_text(file).map_err(|error| {
         Failure::Line(format!("{} cannot be read: {error}; give the path of a cluster file", file.display()))
     })?;
     Ok(Source::new(file.display().to_string(), text))

@@ -7,15 +7,16 @@
 //! use cosmic_plan::contents::Contents;
 //! use cosmic_plan::document::Source;
 //!
-//! let source = Source::new("vehicle.toml", cosmic_plan::cluster::EXAMPLE);
+//! # let text = include_str!("../../examples/rover.toml");
+//! let source = Source::new("rover.toml", text);
 //! let contents = Contents::read(&source).expect("the example is well formed");
-//! let channel = contents.of_subject(0xC05A_1C00_0000_0002).expect("it is the temperature");
+//! let channel = contents.of_subject(0xB0A0_1C00_0000_0007).expect("it is the battery");
 //! let layout = channel.layout.expect("its content is described");
-//! let fields = layout.decode(&[0, 0, 0, 7, 0x0F, 0xA0]).expect("that is one");
+//! let fields = layout.decode(&[0x2E, 0xE0, 0xFF, 0x9C, 65, 80 << 1]).expect("that is one");
 //! let text: Vec<String> = fields.iter().map(ToString::to_string).collect();
-//! assert_eq!(text, ["sequence = 7", "temperature = 40 °C"]);
-//! let event = layout.encode_text(&[("temperature", "-3.25"), ("sequence", "8")]).expect("both are given");
-//! assert_eq!(event, [0, 0, 0, 8, 0xFE, 0xBB]);
+//! assert_eq!(text, ["voltage = 12 V", "current = -1 A", "temperature = 25 °C", "charge = 80 %"]);
+//! let values = [("voltage", "12"), ("current", "-1"), ("charge", "80"), ("temperature", "25")];
+//! assert_eq!(layout.encode_text(&values), Ok(vec![0x2E, 0xE0, 0xFF, 0x9C, 65, 80 << 1]));
 //! ```
 //!
 //! Etags of channels that a broker binds at run time are not in the file; such a channel is found by its subject.

@@ -5,6 +5,7 @@
 //! writes every mismatch, missing field and unknown field into one [`Log`], with its place, what is
 //! wrong and what would be right.
 
+pub mod file;
 mod parse;
 mod problem;
 mod table;

@@ -5,11 +5,12 @@ mod zoo;
 
 use cosmic_core::can::Etag;
 use cosmic_core::event_layer::{Content, layout_of};
-use cosmic_plan::cluster::EXAMPLE;
 use cosmic_plan::contents::{NotDecoded, NotEncoded, Value};
 use cosmic_plan::document::Source;
 use proptest::prelude::*;
 use zoo::{Dice, answer, events, read, zoo};
+
+const ROVER: &str = include_str!("../../examples/rover.toml");
 
 #[test]
 fn fields_have_names_values_and_units() {
@@ -104,13 +105,13 @@ fn values_that_do_not_fit_are_not_written() {
 
 #[test]
 fn channels_are_found_by_name_subject_and_etag() {
-    let contents = read(EXAMPLE);
-    let heat = contents.of_subject(0xC05A_1C00_0000_0002).unwrap();
-    assert_eq!(heat.channel.name, "temperature");
-    assert_eq!(contents.of_etag(heat.channel.etag.unwrap()).unwrap().channel.name, "temperature");
+    let contents = read(ROVER);
+    let heat = contents.of_subject(0xB0A0_1C00_0000_0007).unwrap();
+    assert_eq!(heat.channel.name, "battery");
+    assert_eq!(contents.of_etag(heat.channel.etag.unwrap()).unwrap().channel.name, "battery");
     assert!(contents.of_subject(1).is_none());
     assert!(contents.of_etag(Etag::new(5_000).unwrap()).is_none());
-    assert_eq!(contents.channels().count(), 5);
+    assert_eq!(contents.channels().count(), 8);
 }
 
 cosmic_core::content! {
@@ -130,27 +131,24 @@ fn layouts_of_types_alone_are_those_of_rust() {
     assert_eq!(of("plain").layout_hash(), Plain::LAYOUT);
     assert_eq!(of("plain").wire_hash(), Plain::LAYOUT);
     assert_eq!(of("plain").len, Plain::LEN);
-    // The wire of the vehicle's is what the firmware declares; what it means is in the other hash.
-    let vehicle = read(EXAMPLE);
-    let speed = vehicle.named("wheel_speed").unwrap().layout.unwrap();
-    assert_eq!(speed.wire_hash(), layout_of(&["u32", "u16", "bool"]));
-    assert_ne!(speed.layout_hash(), speed.wire_hash());
+    // The wire of the rover's is what a program could declare; what it means is in the other hash.
+    let rover = read(ROVER);
+    let wheel = rover.named("left_wheel").unwrap().layout.unwrap();
+    assert_eq!(wheel.wire_hash(), layout_of(&["u32", "i16", "bool"]));
+    assert_ne!(wheel.layout_hash(), wheel.wire_hash());
     for (a, b) in [
-        ("scale = 0.001", "scale = 0.002"),
-        ("unit = \"m/s\"", "unit = \"km/h\""),
-        ("name = \"wheel_speed\"\ndoc = \"The", "name = \"wheel_speed\"\nversion = 2\ndoc = \"The"),
-        ("type = \"u16\"\nscale = 0.001", "type = \"i16\"\nscale = 0.001"),
-        (
-            "name = \"wheel_speed\"\ndoc = \"The",
-            "name = \"wheel_speed\"\nbyte_order = \"little\"\ndoc = \"The",
-        ),
+        ("scale = 0.0001", "scale = 0.0002"),
+        ("unit = \"m\"", "unit = \"km\""),
+        ("name = \"wheel\"\ndoc", "name = \"wheel\"\nversion = 2\ndoc"),
+        ("type = \"u32\"\nscale", "type = \"i32\"\nscale"),
+        ("name = \"wheel\"\ndoc", "name = \"wheel\"\nbyte_order = \"little\"\ndoc"),
     ] {
-        let changed = EXAMPLE.replacen(a, b, 1);
-        assert_ne!(changed, EXAMPLE);
+        let changed = ROVER.replacen(a, b, 1);
+        assert_ne!(changed, ROVER);
         let changed = read(&changed);
         assert_ne!(
-            changed.named("wheel_speed").unwrap().layout.unwrap().layout_hash(),
-            speed.layout_hash(),
+            changed.named("left_wheel").unwrap().layout.unwrap().layout_hash(),
+            wheel.layout_hash(),
             "{b}"
         );
     }
@@ -209,7 +207,7 @@ fn mistakes_in_contents_are_named_with_their_remedy() {
             "content.k.field.f",
             "its own name",
         ),
-        (field("type = 'u8'\nmean = 3"), "content.k.field.f.mean", "the fields here are"),
+        (field("type = 'u8'\ncolour = 3"), "content.k.field.f.colour", "the fields here are"),
         (
             format!(
                 "{}\n[[content]]\nname = 'k_'\n[[content.field]]\nname = 'f'\ntype = 'u8'",

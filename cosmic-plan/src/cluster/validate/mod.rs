@@ -148,7 +148,8 @@ impl Checker<'_> {
                 let what = format!("{} is not the length of the content, {len}", at.value);
                 self.problem(&at.place, field("length"), what, "leave it out: the content says it");
             }
-            (None, Some(len)) if len > most => {
+            // A content that is too long for any event is a problem of its own.
+            (None, Some(len)) if len > most && len <= LONGEST_EVENT => {
                 let place = table.content.as_ref().map_or(0..0, |at| at.place.clone());
                 let help = format!("take fields out; longer events (up to {LONGEST_EVENT}) are NRT");
                 self.problem(&place, field("content"), format!("its {len} bytes are more than {most}"), help);
