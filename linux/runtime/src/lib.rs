@@ -27,6 +27,8 @@
 //! # }
 //! ```
 //!
+//! A [`Tap`] is no node: it tells what crosses a link, for tools that listen, and sends frames as they are.
+//!
 //! # What holds here, and what does not
 //! * Soft and non real-time channels: deadlines, expiry and exceptions are those of the core. The timer has a
 //!   resolution of a millisecond, so an event may be promoted or discarded that much late. It is never handed to the
@@ -57,9 +59,11 @@ pub mod link;
 mod node;
 mod places;
 mod shared;
+mod tap;
 
 pub use application::{AnnounceError, Publisher, Subscriber};
 pub use config::{BrokerTables, Config, StartError, calendar_without_slots};
 pub use link::{Link, LinkCounters, LinkError, Port};
 pub use node::Node;
 pub use shared::{BROKER_NODES, BROKER_SUBJECTS, Broker};
+pub use tap::{NotSent, Tap, Tapped, What};

@@ -47,7 +47,7 @@ impl Node {
         let shared = Arc::new(Shared::new(&config)?);
         let tasks = [
             tokio::spawn(keep_time(Arc::clone(&shared))),
-            tokio::spawn(link::keep_connected(link, Arc::clone(&shared))),
+            tokio::spawn(link::keep_connected(link, Arc::clone(&shared) as Arc<dyn link::End>)),
         ];
         Ok(Self { running: Arc::new(Running { shared, tasks }) })
     }

@@ -84,6 +84,11 @@ impl Places {
         handed
     }
 
+    /// Returns whether nothing stands in the place.
+    pub(crate) fn is_empty(&mut self, mailbox: Mailbox) -> bool {
+        *self.place(mailbox) == Place::Empty
+    }
+
     /// The connection is gone, and with it whatever the link would have said. What is still wanted waits again;
     /// returns how many frames these are, and which are not wanted any more.
     pub(crate) fn disconnect(&mut self) -> (u32, Vec<Mailbox>) {

@@ -4,8 +4,9 @@
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use cosmic_bus::WireFrame;
 use cosmic_core::calendar::Calendar;
-use cosmic_core::can::{Command, Etag, Frame, Mailbox, Outcome, Payload, Priority, TxNode};
+use cosmic_core::can::{Command, ErrorCounters, Etag, Frame, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::event_half::{Due, EventHalf, Input, Step, outcome, receive};
 use cosmic_core::network::hard::HrtBuffers;
 use cosmic_core::services::{News, NodeServices};
@@ -14,7 +15,7 @@ use cosmic_core::{broker, network};
 use tokio::sync::{Notify, broadcast, watch};
 
 use crate::config::{Config, StartError};
-use crate::link::LinkCounters;
+use crate::link::{End, LinkCounters, LinkError};
 use crate::places::{Handover, Places};
 
 /// Nodes that a hosted broker has ids for.
@@ -124,7 +125,7 @@ impl Shared {
     }
 
     /// What the link is to do next. What has expired by now is withdrawn before.
-    pub(crate) fn hand_over(&self, link_withdraws: bool) -> Option<Handover> {
+    fn next_handover(&self, link_withdraws: bool) -> Option<Handover> {
         let mut core = self.lock();
         core.attend(self.now());
         self.tell(&mut core);
@@ -147,6 +148,63 @@ impl Shared {
     fn lock(&self) -> MutexGuard<'_, Core> {
         // Whoever panicked did so in the core, which does not; what it left is looked at as it is.
         self.core.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl End for Shared {
+    fn connected(&self) {
+        self.act(|core, _| core.connected());
+    }
+
+    fn disconnected(&self, _: &LinkError) {
+        self.act(|core, now| core.disconnected(now));
+    }
+
+    fn received(&self, frame: &Frame, _: Option<std::time::Duration>) {
+        self.act(|core, now| core.receive(frame, now));
+    }
+
+    fn foreign(&self, _: Option<&WireFrame>, _: Option<std::time::Duration>) {
+        self.look(|core| core.counters.foreign += 1);
+    }
+
+    fn malformed(&self) {
+        self.look(|core| core.counters.malformed += 1);
+    }
+
+    fn lost(&self, frames: u32) {
+        self.act(|core, now| {
+            core.counters.lost += u64::from(frames);
+            core.input(&Input::Lost(frames), now);
+        });
+    }
+
+    fn bus_off(&self) {
+        self.act(|core, now| core.input(&Input::BusOff, now));
+    }
+
+    fn errors(&self, errors: ErrorCounters) {
+        self.act(|core, now| core.input(&Input::Errors(errors), now));
+    }
+
+    fn hand_over(&self, link_withdraws: bool) -> Option<Handover> {
+        self.next_handover(link_withdraws)
+    }
+
+    fn wake(&self) -> &Notify {
+        &self.link_wake
+    }
+
+    fn conclude(&self, mailbox: Mailbox, outcome: Outcome) {
+        self.act(|core, now| core.conclude(mailbox, outcome, now));
+    }
+
+    fn unsent(&self) {
+        self.look(|core| core.counters.unsent += 1);
+    }
+
+    fn connections(&self) -> u64 {
+        self.look(|core| core.counters.connections)
     }
 }
 

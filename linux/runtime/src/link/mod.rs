@@ -15,10 +15,9 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
+use cosmic_bus::WireFrame;
 use cosmic_core::can::{BitRate, ErrorCounters, Frame, Mailbox, Outcome};
-use cosmic_core::event_half::Input;
-
-use crate::shared::Shared;
+use tokio::sync::Notify;
 
 pub use crate::places::Handover;
 
@@ -46,6 +45,11 @@ impl LinkError {
     /// It is not tried again.
     pub fn last(message: impl Into<String>) -> Self {
         Self { message: message.into(), is_final: true }
+    }
+
+    /// Returns whether it is not tried again.
+    pub const fn is_final(&self) -> bool {
+        self.is_final
     }
 }
 
@@ -80,51 +84,79 @@ pub struct LinkCounters {
     pub connections: u64,
 }
 
+/// What is at this end of a link: a node, or a [`Tap`](crate::Tap).
+pub(crate) trait End: Send + Sync {
+    fn connected(&self);
+    fn disconnected(&self, why: &LinkError);
+    /// `stamp`: when, by the clock of the link, if it has one.
+    fn received(&self, frame: &Frame, stamp: Option<Duration>);
+    fn foreign(&self, frame: Option<&WireFrame>, stamp: Option<Duration>);
+    fn malformed(&self);
+    fn lost(&self, frames: u32);
+    fn bus_off(&self);
+    fn errors(&self, errors: ErrorCounters);
+    fn hand_over(&self, link_withdraws: bool) -> Option<Handover>;
+    /// Told when there may be something to hand over.
+    fn wake(&self) -> &Notify;
+    fn conclude(&self, mailbox: Mailbox, outcome: Outcome);
+    fn unsent(&self);
+    /// How often it was connected.
+    fn connections(&self) -> u64;
+}
+
 /// The node, as its link sees it.
 #[derive(Clone)]
 pub struct Port {
-    shared: Arc<Shared>,
+    end: Arc<dyn End>,
 }
 
 impl Port {
     /// The connection stands.
     pub fn connected(&self) {
-        self.shared.act(|core, _| core.connected());
+        self.end.connected();
     }
 
     /// A frame has arrived. The node stamps it now.
     pub fn received(&self, frame: &Frame) {
-        self.shared.act(|core, now| core.receive(frame, now));
+        self.end.received(frame, None);
+    }
+
+    /// A frame has arrived that the link has stamped by a clock of its own, which goes on for as long as the connection
+    /// stands. A node stamps it now, for its time-outs are by its own clock; a [`Tap`](crate::Tap) keeps the stamp.
+    pub fn received_at(&self, frame: &Frame, stamp: Duration) {
+        self.end.received(frame, Some(stamp));
     }
 
     /// A frame has arrived that COSMIC does not use.
     pub fn foreign(&self) {
-        self.shared.look(|core| core.counters.foreign += 1);
+        self.end.foreign(None, None);
+    }
+
+    /// As [`foreign`](Self::foreign), for a link that knows what it was, and when.
+    pub fn foreign_at(&self, frame: &WireFrame, stamp: Duration) {
+        self.end.foreign(Some(frame), Some(stamp));
     }
 
     /// Something has arrived that means nothing.
     pub fn malformed(&self) {
-        self.shared.look(|core| core.counters.malformed += 1);
+        self.end.malformed();
     }
 
     /// So many frames were lost on the way here.
     pub fn lost(&self, frames: u32) {
         if frames > 0 {
-            self.shared.act(|core, now| {
-                core.counters.lost += u64::from(frames);
-                core.input(&Input::Lost(frames), now);
-            });
+            self.end.lost(frames);
         }
     }
 
     /// The controller behind the link has left the bus.
     pub fn bus_off(&self) {
-        self.shared.act(|core, now| core.input(&Input::BusOff, now));
+        self.end.bus_off();
     }
 
     /// The error counters of the controller behind the link.
     pub fn errors(&self, errors: ErrorCounters) {
-        self.shared.act(|core, now| core.input(&Input::Errors(errors), now));
+        self.end.errors(errors);
     }
 
     /// Waits until there is something to do for a link that cannot withdraw what it was handed: the next frame.
@@ -144,38 +176,38 @@ impl Port {
 
     async fn next(&self, link_withdraws: bool) -> Handover {
         loop {
-            if let Some(handover) = self.shared.hand_over(link_withdraws) {
+            if let Some(handover) = self.end.hand_over(link_withdraws) {
                 return handover;
             }
-            self.shared.link_wake.notified().await;
+            self.end.wake().notified().await;
         }
     }
 
     /// What became of a frame that was handed over. One that was not is ignored.
     pub fn conclude(&self, mailbox: Mailbox, outcome: Outcome) {
-        self.shared.act(|core, now| core.conclude(mailbox, outcome, now));
+        self.end.conclude(mailbox, outcome);
     }
 
     /// A frame that was handed over went nowhere.
     pub fn unsent(&self) {
-        self.shared.look(|core| core.counters.unsent += 1);
+        self.end.unsent();
     }
 }
 
 /// Runs a link, again and again.
-pub(crate) async fn keep_connected(mut link: impl Link, shared: Arc<Shared>) {
-    let port = Port { shared };
+pub(crate) async fn keep_connected(mut link: impl Link, end: Arc<dyn End>) {
+    let port = Port { end };
     let mut pause = FIRST_PAUSE;
     let mut told = None;
     loop {
-        let connections = port.shared.look(|core| core.counters.connections);
+        let connections = port.end.connections();
         let error = link.run(&port).await;
-        port.shared.act(|core, now| core.disconnected(now));
+        port.end.disconnected(&error);
         if error.is_final {
             tracing::info!("{error}");
             return;
         }
-        if port.shared.look(|core| core.counters.connections) > connections {
+        if port.end.connections() > connections {
             (pause, told) = (FIRST_PAUSE, None);
         }
         // Once for each reason, so that a link that is down for days does not fill a log.

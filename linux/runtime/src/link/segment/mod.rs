@@ -83,10 +83,13 @@ impl SegmentLink {
 
 fn take(record: Record, port: &Port) {
     match record {
-        Record::Received { frame, .. } => match Frame::try_from(frame) {
-            Ok(frame) => port.received(&frame),
-            Err(_) => port.foreign(),
-        },
+        Record::Received { frame, at } => {
+            let stamp = std::time::Duration::from_nanos(at.as_ticks());
+            match Frame::try_from(frame) {
+                Ok(cosmic) => port.received_at(&cosmic, stamp),
+                Err(_) => port.foreign_at(&frame, stamp),
+            }
+        }
         Record::Sent { mailbox } => port.conclude(mailbox, Outcome::Sent),
         Record::Withdrawn { mailbox } => port.conclude(mailbox, Outcome::Withdrawn),
         Record::Lost { count } => port.lost(count),
