@@ -128,7 +128,7 @@ impl<C: Content> Subscriber<C> {
 
     /// Gives up the subscription, with the events that wait for it.
     pub fn cancel<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
-        node.lock(|node| node.cancel_subscription(self.subscription));
+        node.lock(|node| node.cancel_subscription(&self.channel, self.subscription));
     }
 }
 

@@ -132,6 +132,7 @@ impl<T: System> Node<T> {
     ) -> Result<Subscription<C>, SubscribeError> {
         let subscription = self.half.subscribe(channel, filter, policy)?;
         self.wake_both();
+        self.observer.subscribed(channel.subject(), filter, policy, T::Board::now());
         Ok(subscription)
     }
 
@@ -142,9 +143,14 @@ impl<T: System> Node<T> {
         self.wake_both();
     }
 
-    pub(crate) fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) {
+    pub(crate) fn cancel_subscription<C: Content>(
+        &mut self,
+        channel: &Channel<C>,
+        subscription: Subscription<C>,
+    ) {
         self.half.cancel_subscription(subscription);
         self.wake_both();
+        self.observer.cancelled(channel.subject(), T::Board::now());
     }
 
     pub(crate) fn poll_next<C: Content>(

@@ -3,7 +3,8 @@
 //! All methods do nothing unless they are written, so that `()` is an observer who costs nothing. Those of an
 //! [`Observer`] are called while the node is locked, so they should be short.
 
-use cosmic_core::event_layer::{Channel, Delivered, Exception, PublishError};
+use cosmic_core::Subject;
+use cosmic_core::event_layer::{Channel, Delivered, Exception, Filter, Policy, PublishError};
 use cosmic_core::time::Instant;
 
 /// Is told what happens at a node. What happens to events it is told by [`Observes`].
@@ -14,6 +15,16 @@ pub trait Observer: 'static {
     /// The application was told of an exception.
     fn exception(&mut self, exception: &Exception) {
         let _ = exception;
+    }
+
+    /// The application has subscribed to a channel.
+    fn subscribed(&mut self, subject: Subject, filter: Filter, policy: Policy, at: Instant) {
+        let _ = (subject, filter, policy, at);
+    }
+
+    /// The application has given up a subscription to a channel.
+    fn cancelled(&mut self, subject: Subject, at: Instant) {
+        let _ = (subject, at);
     }
 }
 
@@ -54,3 +65,55 @@ impl Observer for () {
 impl<C> Observes<C> for () {}
 
 impl CalendarObserver for () {}
+
+/// Two observers, who are told everything one after the other.
+impl<A: Observer, B: Observer> Observer for (A, B) {
+    type Calendar = (A::Calendar, B::Calendar);
+
+    fn exception(&mut self, exception: &Exception) {
+        self.0.exception(exception);
+        self.1.exception(exception);
+    }
+
+    fn subscribed(&mut self, subject: Subject, filter: Filter, policy: Policy, at: Instant) {
+        self.0.subscribed(subject, filter, policy, at);
+        self.1.subscribed(subject, filter, policy, at);
+    }
+
+    fn cancelled(&mut self, subject: Subject, at: Instant) {
+        self.0.cancelled(subject, at);
+        self.1.cancelled(subject, at);
+    }
+}
+
+impl<C, A: Observes<C>, B: Observes<C>> Observes<C> for (A, B) {
+    fn published(
+        &mut self,
+        channel: &Channel<C>,
+        content: &C,
+        at: Instant,
+        result: Result<(), PublishError>,
+    ) {
+        self.0.published(channel, content, at, result);
+        self.1.published(channel, content, at, result);
+    }
+
+    fn delivered(&mut self, channel: &Channel<C>, event: &Delivered<C>, at: Instant) {
+        self.0.delivered(channel, event, at);
+        self.1.delivered(channel, event, at);
+    }
+}
+
+impl<A: CalendarObserver, B: CalendarObserver> CalendarObserver for (A, B) {
+    #[inline]
+    fn running(&mut self, runs: bool) {
+        self.0.running(runs);
+        self.1.running(runs);
+    }
+
+    #[inline]
+    fn notified(&mut self) {
+        self.0.notified();
+        self.1.notified();
+    }
+}

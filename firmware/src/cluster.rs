@@ -7,9 +7,7 @@
 //! | brake | brake force | wheel speed, temperature, suspension |
 //! | diagnostics | suspension, logbook | wheel speed, brake force |
 
-use cosmic_core::Subject;
-use cosmic_core::can::Etag;
-use cosmic_core::event_layer::{Channel, Content};
+use cosmic_core::event_layer::Channel;
 
 use plan::channels;
 
@@ -78,24 +76,6 @@ cosmic_core::content! {
     }
 }
 
-/// Content that counts its events, so that records of publisher and subscriber can be matched.
-pub trait Sequenced: Content {
-    /// The number of the event, on its channel and by its publisher.
-    fn sequence(&self) -> u32;
-}
-
-macro_rules! sequenced {
-    ($($content:ty),+) => {$(
-        impl Sequenced for $content {
-            #[inline]
-            fn sequence(&self) -> u32 {
-                self.sequence
-            }
-        }
-    )+};
-}
-sequenced!(WheelSpeed, Temperature, BrakeForce, Suspension, LogEntry);
-
 /// Hard real-time.
 pub const WHEEL_SPEED: Channel<WheelSpeed> = channels::wheel_speed::channel();
 
@@ -110,8 +90,3 @@ pub const SUSPENSION: Channel<Suspension> = channels::suspension::channel();
 
 /// Non real-time.
 pub const LOGBOOK: Channel<LogEntry> = channels::logbook::channel();
-
-/// The etag of one of the channels.
-pub fn etag_of(subject: Subject) -> Option<Etag> {
-    plan::CHANNELS.iter().find(|channel| channel.subject == subject)?.etag
-}

@@ -2,15 +2,16 @@
 
 use boards::Stm32F405;
 use boards::stm32f4::{MeasuringPoint, MeasuringPoints, Resources};
-use cosmic_core::event_layer::{Channel, Delivered, Exception, PublishError};
+use cosmic_core::Subject;
+use cosmic_core::event_layer::{Channel, Content, Delivered, Exception, Filter, Policy, PublishError};
 use cosmic_core::plan::NodePlan;
 use cosmic_core::services::ClockService;
 use cosmic_core::time::Instant;
+use cosmic_records::Recorder;
 use cosmic_rtic::{CalendarObserver, Observer, Observes, Parts, Storage, System, start_observed};
 
-use crate::cluster::Sequenced;
-use crate::cluster::plan::Capacities;
-use crate::records::Records;
+use crate::cluster::plan::{self, Capacities};
+use crate::records;
 
 /// What a node of the vehicle is made of.
 pub struct Vehicle;
@@ -23,9 +24,10 @@ impl System for Vehicle {
 }
 
 /// Brings up the node of this plan. For RTIC's `init`; a mistake in the settings ends there, with a log.
-pub fn start(resources: Resources, plan: NodePlan, storage: &'static mut Storage<Vehicle>) -> Parts<Vehicle> {
-    let records = Records::start(cosmic_rtic::EVENT_PRIORITY);
-    let mut board = match Stm32F405::start(resources, &plan) {
+pub fn start(resources: Resources, node: NodePlan, storage: &'static mut Storage<Vehicle>) -> Parts<Vehicle> {
+    records::start(cosmic_rtic::EVENT_PRIORITY);
+    let records = defmt::unwrap!(cosmic_records::rtt::recorder(&plan::CHANNELS));
+    let mut board = match Stm32F405::start(resources, &node) {
         Ok(board) => board,
         Err(error) => defmt::panic!("the board cannot be brought up: {}", defmt::Debug2Format(&error)),
     };
@@ -33,14 +35,14 @@ pub fn start(resources: Resources, plan: NodePlan, storage: &'static mut Storage
     let MeasuringPoints { calendar, published, delivered, exception } = points;
     let observer = Reporter { records, published, exception };
     let of_calendar = CalendarReporter { running: calendar, notified: delivered };
-    let parts = defmt::unwrap!(start_observed(board, &plan, storage, observer, of_calendar));
-    defmt::info!("node {} is up, calendar {=u32:08X}", plan.tx_node.get(), plan.calendar.digest());
+    let parts = defmt::unwrap!(start_observed(board, &node, storage, observer, of_calendar));
+    defmt::info!("node {} is up, calendar {=u32:08X}", node.tx_node.get(), node.calendar.digest());
     parts
 }
 
 /// Shows what happens to events: by records, logs and measuring points.
 pub struct Reporter {
-    records: Records,
+    records: Recorder<cosmic_rtt::Channel, CalendarReporter>,
     published: MeasuringPoint<13>,
     exception: MeasuringPoint<15>,
 }
@@ -59,9 +61,17 @@ impl Observer for Reporter {
         self.records.exception(exception);
         defmt::warn!("{}", exception);
     }
+
+    fn subscribed(&mut self, subject: Subject, filter: Filter, policy: Policy, at: Instant) {
+        self.records.subscribed(subject, filter, policy, at);
+    }
+
+    fn cancelled(&mut self, subject: Subject, at: Instant) {
+        self.records.cancelled(subject, at);
+    }
 }
 
-impl<C: Sequenced> Observes<C> for Reporter {
+impl<C: Content> Observes<C> for Reporter {
     fn published(
         &mut self,
         channel: &Channel<C>,
@@ -69,11 +79,10 @@ impl<C: Sequenced> Observes<C> for Reporter {
         at: Instant,
         result: Result<(), PublishError>,
     ) {
-        let sequence = content.sequence();
         self.published.toggle();
-        self.records.published(channel, sequence, at, result.is_ok());
+        self.records.published(channel, content, at, result);
         if let Err(error) = result {
-            defmt::warn!("event {} of {} was not published: {}", sequence, channel.subject(), error);
+            defmt::warn!("an event of {} was not published: {}", channel.subject(), error);
         }
     }
 

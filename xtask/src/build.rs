@@ -24,12 +24,11 @@ pub(crate) struct Options {
 
 /// Builds the images of the firmware and prints their sizes.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
+    let cluster = options.cluster.clone().unwrap_or_else(|| plan::example(workspace));
+    let cluster = plan::find(cluster)?;
     let way = setup::prepare(&[])?;
-    let cluster = options.cluster.as_deref().map(plan::find).transpose()?;
-    let built = images::firmware(workspace, &way, cluster.as_deref(), &options.images)?;
+    let (folder, built) = images::kept(workspace, &way, &cluster, &options.images)?;
     print!("{}", size::table(&size::measure_all(&built.images)?));
-    if let Some(directory) = built.directory() {
-        println!("The images are in {}.", directory.display());
-    }
+    println!("The images for {} are in {}.", cluster.display(), folder.display());
     Ok(())
 }

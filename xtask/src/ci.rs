@@ -13,6 +13,7 @@ use crate::demo;
 use crate::fuzz;
 use crate::images;
 use crate::linux;
+use crate::plan;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup;
@@ -90,7 +91,8 @@ fn documentation(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 
 /// Warnings about code for the target are errors here.
 fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let mut warnings = images::firmware(workspace, way, None, &[])?.warnings;
+    let cluster = plan::find(plan::example(workspace))?;
+    let mut warnings = images::firmware(workspace, way, &cluster, &[])?.warnings;
     warnings += images::build(way.cargo(workspace, "build"), qemu::PACKAGE, &[])?.warnings;
     if warnings > 0 {
         bail!("{warnings} warnings about code for the target; see above");
@@ -99,7 +101,9 @@ fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 }
 
 fn sizes(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let sizes = size::measure_all(&images::firmware(workspace, way, None, &[])?.images)?;
+    let sizes = size::measure_all(
+        &images::firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])?.images,
+    )?;
     print!("{}", size::table(&sizes));
     size::check(workspace, &sizes)?;
     Ok(Tally::default())

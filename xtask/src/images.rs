@@ -1,11 +1,12 @@
 //! Programs for the target: how cargo builds them, and where they are.
 
 use std::collections::BTreeMap;
+use std::fs;
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Result, bail};
+use anyhow::{Context as _, Result, bail};
 use serde_json::Value;
 
 use crate::plan;
@@ -35,14 +36,33 @@ impl Built {
 pub(crate) fn firmware(
     workspace: &Workspace,
     way: &TargetWay,
-    cluster: Option<&Path>,
+    cluster: &Path,
     names: &[String],
 ) -> Result<Built> {
-    step("building the firmware images", || {
+    step(&format!("building the firmware images for {}", cluster.display()), || {
         let mut command = way.cargo(workspace, "build");
-        command.envs(cluster.map(|file| (plan::VARIABLE, file)));
+        command.env(plan::VARIABLE, cluster);
         build(command, "firmware", names)
     })
+}
+
+/// Builds images as [`firmware`] does, and keeps a copy of them in a folder of the cluster's own: the next build, for
+/// another cluster, leaves it alone. Returns the folder, too.
+pub(crate) fn kept(
+    workspace: &Workspace,
+    way: &TargetWay,
+    cluster: &Path,
+    names: &[String],
+) -> Result<(PathBuf, Built)> {
+    let mut built = firmware(workspace, way, cluster, names)?;
+    let folder = workspace.target_dir().join("images").join(plan::name(workspace, cluster));
+    fs::create_dir_all(&folder).with_context(|| format!("making {}", folder.display()))?;
+    for (name, image) in &mut built.images {
+        let copy = folder.join(name);
+        fs::copy(&image, &copy).with_context(|| format!("writing {}", copy.display()))?;
+        *image = copy;
+    }
+    Ok((folder, built))
 }
 
 /// Builds programs of a package by a call of [`TargetWay::cargo`]: all if none is named.

@@ -2,6 +2,7 @@
 //!
 //! Everything that CI does is one of these, and runs the same on a desk.
 
+mod apps;
 mod apt;
 mod bench;
 mod bit_rates;

@@ -4,12 +4,52 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
 
-/// Names another description than the example's to the build scripts of firmware and demo.
+use crate::workspace::Workspace;
+
+/// Names the description to the build script of the firmware.
 pub(crate) const VARIABLE: &str = "COSMIC_CLUSTER";
 
-/// The file as a build script finds it, which runs in the folder of its package.
-pub(crate) fn find(cluster: &Path) -> Result<PathBuf> {
+/// Where a repository of a user's has its description.
+pub(crate) const OF_A_REPOSITORY: &str = "cluster.toml";
+
+/// The cluster of the example firmware.
+pub(crate) fn example(workspace: &Workspace) -> PathBuf {
+    workspace.root().join("cosmic-plan/examples/vehicle.toml")
+}
+
+/// The file as a build script finds it, which runs in the folder of its package. One file has one name, so that
+/// nothing is built again for another.
+pub(crate) fn find(cluster: impl AsRef<Path>) -> Result<PathBuf> {
+    let cluster = cluster.as_ref();
     cluster
         .canonicalize()
         .with_context(|| format!("{} cannot be read; name the file of a cluster", cluster.display()))
+}
+
+/// What a cluster is called among others: by its file, and by the place of that, if it is not the example.
+pub(crate) fn name(workspace: &Workspace, cluster: &Path) -> String {
+    let stem =
+        cluster.file_stem().map_or_else(|| "cluster".into(), |stem| stem.to_string_lossy().into_owned());
+    if example(workspace).canonicalize().is_ok_and(|example| example == cluster) {
+        return stem;
+    }
+    let hash = cluster.as_os_str().as_encoded_bytes().iter().fold(0xCBF2_9CE4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01B3)
+    });
+    format!("{stem}-{:08x}", hash as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clusters_of_one_name_in_two_places_are_told_apart() {
+        let workspace = Workspace::find().unwrap();
+        let example = find(example(&workspace)).unwrap();
+        assert_eq!(name(&workspace, &example), "vehicle");
+        let [one, other] =
+            ["/a/vehicle.toml", "/b/vehicle.toml"].map(|file| name(&workspace, Path::new(file)));
+        assert!(one.starts_with("vehicle-") && one != other, "{one} {other}");
+    }
 }

@@ -18,6 +18,7 @@ use object::{Object as _, ObjectSection as _, SectionFlags, SectionKind, elf};
 use serde::{Deserialize, Serialize};
 
 use crate::images::{self, Images};
+use crate::plan;
 use crate::run::step;
 use crate::setup;
 use crate::workspace::Workspace;
@@ -60,7 +61,7 @@ pub(crate) type Sizes = std::collections::BTreeMap<String, ImageSize>;
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
     let images = if options.files.is_empty() {
         let way = setup::prepare(&[])?;
-        images::firmware(workspace, &way, None, &[])?.images
+        images::firmware(workspace, &way, &plan::find(plan::example(workspace))?, &[])?.images
     } else {
         options.files.iter().map(|file| (file.display().to_string(), file.clone())).collect()
     };

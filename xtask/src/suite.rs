@@ -7,12 +7,14 @@ use std::{env, fs};
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 
+use crate::apps;
 use crate::bit_rates;
 use crate::demo;
 use crate::fuzz;
 use crate::images::{self, PROFILE};
 use crate::linux;
 use crate::new;
+use crate::plan;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
@@ -89,7 +91,7 @@ pub(crate) fn host(workspace: &Workspace) -> Result<Tally> {
 ///
 /// In the profile of the demo, for speed.
 pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let built = images::firmware(workspace, way, None, &[])?;
+    let built = images::firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast", "--release"]).args(demo::EMULATED_TESTS);
@@ -124,7 +126,20 @@ fn build_and_test(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Resu
     program.current_dir(folder).args(["run", "--release"]);
     program.env("CARGO_TARGET_DIR", workspace.target_dir()).env(IMAGES, images);
     tally.add(as_the_tutorial_prints(workspace, &mut program));
+    tally.add(judged(workspace, way, folder));
     Ok(tally)
+}
+
+/// The demo runs the applications of the repository, and finds nothing wrong.
+fn judged(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally> {
+    let cluster = folder.join(plan::OF_A_REPOSITORY);
+    let images = apps::build(way, folder, &cluster, Some(workspace.target_dir()))?;
+    let word = |path: &Path| path.display().to_string();
+    let (cluster, images, out) = (word(&cluster), word(&images), word(&folder.join("judged")));
+    let arguments =
+        ["--cluster", &cluster, "--images", &images, "--out", &out, "--seconds", "2", "--load", "80"];
+    let code = demo::run(workspace, &arguments.map(str::to_owned))?;
+    Ok(Tally::one(code == 0))
 }
 
 /// The log at the end of the tutorial is what the robot says, but for the instants: these follow from the

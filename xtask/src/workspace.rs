@@ -25,20 +25,24 @@ impl Workspace {
 
     /// The workspace that a folder belongs to.
     fn around(folder: &Path) -> Result<Self> {
-        let output = Command::new(cargo())
-            .args(["metadata", "--no-deps", "--format-version", "1"])
-            .current_dir(folder)
-            .output()
-            .context("cargo cannot be started; is it on the PATH?")?;
-        let no_workspace = || format!("{} is in no workspace of cargo's", folder.display());
-        let metadata: serde_json::Value =
-            serde_json::from_slice(&output.stdout).with_context(no_workspace)?;
-        let path = |key: &str| metadata[key].as_str().map(PathBuf::from).with_context(no_workspace);
-        let (root, target_dir) = (path("workspace_root")?, path("target_directory")?);
-        if !root.join("xtask/Cargo.toml").is_file() {
-            bail!("{} is not the workspace of COSMIC; call this inside it", root.display());
+        let workspace = Self::of(&metadata(folder)?)?;
+        if !workspace.root.join("xtask/Cargo.toml").is_file() {
+            bail!("{} is not the workspace of COSMIC; call this inside it", workspace.root.display());
         }
-        Ok(Self { root, target_dir })
+        Ok(workspace)
+    }
+
+    /// Any workspace, by what cargo says of it.
+    pub(crate) fn of(metadata: &serde_json::Value) -> Result<Self> {
+        let path = |key: &str| {
+            metadata[key].as_str().map(PathBuf::from).context("cargo does not say where it builds")
+        };
+        Ok(Self { root: path("workspace_root")?, target_dir: path("target_directory")? })
+    }
+
+    /// The same, with another folder of build products, if one is named.
+    pub(crate) fn building_in(self, target_dir: Option<&Path>) -> Self {
+        Self { target_dir: target_dir.map_or(self.target_dir, Path::to_owned), ..self }
     }
 
     /// One that is not there, for tests of what must not touch it.
@@ -63,6 +67,17 @@ impl Workspace {
         command.current_dir(&self.root);
         command
     }
+}
+
+/// What cargo says of the workspace that a folder belongs to.
+pub(crate) fn metadata(folder: &Path) -> Result<serde_json::Value> {
+    let output = Command::new(cargo())
+        .args(["metadata", "--no-deps", "--format-version", "1"])
+        .current_dir(folder)
+        .output()
+        .with_context(|| format!("`cargo metadata` cannot be started in {}", folder.display()))?;
+    serde_json::from_slice(&output.stdout)
+        .with_context(|| format!("{} is in no workspace of cargo's", folder.display()))
 }
 
 /// The cargo that started this program, or else the one on the PATH.

@@ -10,6 +10,9 @@ pub use cosmic_rtic::prelude::*;
 use cosmic_rtic::{Observer, Observes};
 
 use plan::channels;
+use watch::Watcher;
+
+mod watch;
 
 // What `cosmic-plan` makes of cluster.toml: the module `plan`.
 cosmic_core::include_plan!();
@@ -21,18 +24,20 @@ impl cosmic_rtic::System for Robot {
     type Board = Stm32F405;
     type Capacity = plan::Capacities;
     type Services = ClockService;
-    type Observer = Log;
+    type Observer = (Log, Watcher);
 }
 
 /// Brings the board up that a node of the plan runs on, with its log.
 pub fn board(resources: boards::stm32f4::Resources, node: &NodePlan) -> Stm32F405 {
+    watch::open();
     cosmic_rtt::start!(1024, cosmic_rtic::EVENT_PRIORITY);
     Stm32F405::start(resources, node).expect("the plan fits the board")
 }
 
 /// Starts the node.
 pub fn start(board: Stm32F405, node: &NodePlan, storage: &'static mut Storage<Robot>) -> Parts<Robot> {
-    cosmic_rtic::start_observed(board, node, storage, Log, ()).expect("the plan has a clock")
+    let observers = (Log, watch::watcher());
+    cosmic_rtic::start_observed(board, node, storage, observers, ((), ())).expect("the plan has a clock")
 }
 
 /// Logs what goes wrong.

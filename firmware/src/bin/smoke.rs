@@ -41,7 +41,7 @@ mod app {
 
     #[init]
     fn init(context: init::Context) -> (Shared, Local) {
-        let _records = firmware::records::Records::start(5);
+        firmware::records::start(5);
         let settings = Settings { bit_rate: BitRate::MAX, filters: FILTERS.iter() };
         let Ok(board) = Stm32F405::new(boards::resources!(context.device), settings, TimerPriority::new(5))
         else {

@@ -7,7 +7,7 @@ use clap::Parser;
 
 use crate::number::within;
 
-/// Run three nodes and a background load on an emulated CAN bus, and judge what each event channel did
+/// Run the nodes of a cluster and a background load on an emulated CAN bus, and judge what each event channel did
 #[derive(Parser, Clone, PartialEq, Debug)]
 #[command(
     name = "demo",
@@ -47,19 +47,30 @@ pub struct Options {
     #[arg(long, value_name = "DIR", default_value = "target/demo")]
     pub out: PathBuf,
 
-    /// Where the firmware images are
-    #[arg(long, value_name = "DIR", help_heading = "Given by cargo xtask")]
-    pub images: PathBuf,
+    /// Also write a trace for ui.perfetto.dev: tasks, bus, slots, the way of each event
+    #[arg(long, value_name = "FILE")]
+    pub trace: Option<PathBuf>,
+
+    /// The description of the cluster [default: the vehicle of the example, or cluster.toml in the DIR of --apps]
+    #[arg(long, value_name = "FILE")]
+    pub cluster: Option<PathBuf>,
+
+    /// Build the applications of this repository instead of the example's; see docs/write-your-own-node.md
+    #[arg(long, value_name = "DIR", conflicts_with = "images")]
+    pub apps: Option<PathBuf>,
+
+    /// Run images that are built already, each with the name of its node, and build nothing
+    #[arg(long, value_name = "DIR")]
+    pub images: Option<PathBuf>,
 }
 
 impl Options {
-    /// Checks what a user wrote, without `--images`, before these are built.
+    /// Reads what a user wrote behind `cargo xtask demo`, before anything is built.
     ///
     /// # Errors
     /// What clap says, or the help that was asked for.
-    pub fn check(arguments: &[String]) -> Result<(), clap::Error> {
-        let words = ["demo", "--images", "."].into_iter().chain(arguments.iter().map(String::as_str));
-        Self::try_parse_from(words).map(|_| ())
+    pub fn read(arguments: &[String]) -> Result<Self, clap::Error> {
+        Self::try_parse_from(["demo"].into_iter().chain(arguments.iter().map(String::as_str)))
     }
 }
 
@@ -76,7 +87,7 @@ fn seconds(text: &str) -> Result<Duration, String> {
 const NOTES: &str = "\
 The nodes are the images that are flashed. They start at different instants, and their crystals differ.
 Into DIR go a picture of the bus (bus.svg) and its log (candump.log, for can-utils).
-`cargo xtask demo --cluster FILE` plans the cluster of FILE first, and builds the images for it.
+They are judged by the records of their observers (crate cosmic-records), whatever their contents.
 
 Exit code 0: every hard real-time event within its fault hypothesis was delivered at its instant, and
              every other loss was reported by an exception.
@@ -95,7 +106,7 @@ mod tests {
 
     fn refusal(arguments: &[&str]) -> String {
         let arguments: Vec<_> = arguments.iter().map(|&word| word.to_owned()).collect();
-        Options::check(&arguments).unwrap_err().to_string()
+        Options::read(&arguments).unwrap_err().to_string()
     }
 
     #[test]
@@ -117,10 +128,11 @@ mod tests {
     #[test]
     fn what_is_right_is_taken() {
         let right = ["--seconds", "0.5", "--errors", "1", "--load", "0", "--json", "report.json"];
-        let words = ["demo", "--images", "there"].into_iter().chain(right);
+        let words = ["demo", "--cluster", "here", "--images", "there"].into_iter().chain(right);
         let options = Options::try_parse_from(words).unwrap();
         assert_eq!(options.seconds, Duration::from_millis(500));
         assert_eq!((options.errors, options.load), (1.0, 0.0));
-        assert_eq!(Options::check(&right.map(str::to_owned)).ok(), Some(()));
+        assert!(Options::read(&right.map(str::to_owned)).is_ok());
+        assert!(Options::read(&["--apps", "a", "--images", "b"].map(str::to_owned)).is_err());
     }
 }

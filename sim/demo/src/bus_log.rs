@@ -21,6 +21,8 @@ pub struct Attempt {
     pub end: VirtualInstant,
     /// How it ended.
     pub ending: Ending,
+    /// When its frame was put into the mailbox: an index into [`BusLog::loads`].
+    pub load: Option<usize>,
 }
 
 /// How an attempt ended.
@@ -51,8 +53,8 @@ impl Attempt {
 pub struct Contest {
     /// Who won: an index into [`BusLog::attempts`].
     pub winner: usize,
-    /// The frame that did not.
-    pub loser: Frame,
+    /// Whose frame did not: an index into [`BusLog::loads`].
+    pub loser: usize,
 }
 
 /// A frame was put into a mailbox.
@@ -91,6 +93,8 @@ struct Pending {
     frame: WireFrame,
     /// It leaves the mailbox if it fails.
     withdrawn: bool,
+    /// An index into the loads.
+    load: Option<usize>,
 }
 
 impl BusLog {
@@ -104,7 +108,7 @@ impl BusLog {
         &self.contests
     }
 
-    /// Hard and soft real-time frames that were put into mailboxes, in the order of time.
+    /// COSMIC's frames that were put into mailboxes, in the order of time.
     pub fn loads(&self) -> &[Load] {
         &self.loads
     }
@@ -128,12 +132,11 @@ impl BusLog {
         let at = event.at;
         match &event.kind {
             TraceKind::Load { station, mailbox, frame } => {
-                let pending =
-                    Pending { station: *station, mailbox: *mailbox, frame: *frame, withdrawn: false };
-                self.pending.push(pending);
-                if let Some(frame) = real_time(frame) {
-                    self.loads.push(Load { at, station: *station, frame });
-                }
+                let cosmic = Frame::try_from(*frame).ok();
+                let load = cosmic.is_some().then_some(self.loads.len());
+                self.loads.extend(cosmic.map(|frame| Load { at, station: *station, frame }));
+                let (station, mailbox, frame) = (*station, *mailbox, *frame);
+                self.pending.push(Pending { station, mailbox, frame, withdrawn: false, load });
             }
             TraceKind::Withdraw { station, mailbox, on_the_wire } => {
                 self.withdraw(*station, *mailbox, *on_the_wire);
@@ -148,6 +151,7 @@ impl BusLog {
                     start: at,
                     end: at,
                     ending: Ending::Open,
+                    load: self.load_of(*station, *mailbox),
                 });
             }
             TraceKind::FrameEnd { number, station, frame, .. } => {
@@ -167,6 +171,10 @@ impl BusLog {
             }
             TraceKind::Omission { .. } | TraceKind::Connection { .. } => {}
         }
+    }
+
+    fn load_of(&self, station: StationId, mailbox: usize) -> Option<usize> {
+        self.pending.iter().rev().find(|it| (it.station, it.mailbox) == (station, mailbox))?.load
     }
 
     fn withdraw(&mut self, station: StationId, mailbox: usize, on_the_wire: bool) {
@@ -189,8 +197,9 @@ impl BusLog {
         let winner = self.attempts.len();
         let others = self.pending.iter().filter(|it| (it.station, it.mailbox) != (station, mailbox));
         let others = others.filter(|it| self.competes(it.station));
-        let losers = others.filter_map(|it| real_time(&it.frame)).filter(|frame| is_soft(frame.id));
-        let contests: Vec<_> = losers.map(|loser| Contest { winner, loser }).collect();
+        let losers = others.filter(|it| real_time(&it.frame).is_some_and(|frame| is_soft(frame.id)));
+        let contests: Vec<_> =
+            losers.filter_map(|it| it.load).map(|loser| Contest { winner, loser }).collect();
         self.contests.extend(contests);
     }
 
@@ -221,9 +230,4 @@ fn real_time(frame: &WireFrame) -> Option<Frame> {
 pub fn is_soft(id: Id) -> bool {
     let soft = Priority::SOFT_MOST_URGENT..=Priority::SOFT_LEAST_URGENT;
     soft.contains(&id.priority()) && !id.etag().is_reserved()
-}
-
-/// The sequence number of the event in a frame: the first four bytes of its content.
-pub fn sequence_of(frame: &Frame) -> Option<u32> {
-    frame.payload.as_slice().first_chunk().map(|bytes| u32::from_be_bytes(*bytes))
 }

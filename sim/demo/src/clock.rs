@@ -187,6 +187,7 @@ mod tests {
             start: true_at(end - 130_000),
             end: true_at(end),
             ending: Ending::Sent,
+            load: None,
         }
     }
 

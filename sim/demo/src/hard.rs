@@ -18,10 +18,11 @@ use cosmic_core::can::{Frame, Priority, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::time::{Duration, GlobalInstant};
 
-use crate::bus_log::{Ending, sequence_of};
+use crate::bus_log::Ending;
 use crate::clock::GlobalTimeline;
+use crate::cluster::Channel;
 use crate::journal::Journal;
-use crate::ledger::Ledger;
+use crate::ledger::{Ledger, Subscribed};
 use crate::span::{Span, Spread};
 use crate::sync::Syncs;
 use crate::violation::Violation;
@@ -56,8 +57,10 @@ pub struct Occurrence {
     pub faulted: u32,
     /// Whether the publisher or a subscriber was bus-off in it, or had lost the time of the cluster.
     pub absent: bool,
-    /// The event that it carried; `None` if nothing was sent.
-    pub sequence: Option<u32>,
+    /// Whether its frame was on the bus.
+    pub used: bool,
+    /// The event that it carried: its number in the account of its channel.
+    pub event: Option<usize>,
     /// What became of it.
     pub fate: Fate,
 }
@@ -202,20 +205,21 @@ impl Judge<'_> {
         let attempts = self.attempts_in(slot, &window, from);
         let log = self.journal.bus.attempts();
         let faulted = attempts.iter().filter(|at| log[**at].has_failed()).count() as u32;
-        let carried = attempts.first().and_then(|at| log[*at].frame());
-        let sequence = carried.and_then(|frame| sequence_of(&frame));
-        let channel = self.journal.cluster.channel(slot.etag);
-        let mut nodes = channel.into_iter().flat_map(|it| it.subscribers.iter()).chain([&slot.publisher]);
-        let absent = nodes.any(|node| self.was_absent(*node, slot, &window));
+        let used = !attempts.is_empty();
+        let event = attempts.first().and_then(|at| self.ledger.event_of(log[*at].load?));
+        let channel = self.journal.cluster.channel_of(slot.etag, slot.publisher);
+        let subscribers = channel.into_iter().flat_map(|channel| {
+            let listens = |node: &&TxNode| self.subscription(**node, channel, &window).is_some();
+            channel.subscribers.iter().filter(listens)
+        });
+        let absent = subscribers.chain([&slot.publisher]).any(|node| self.was_absent(*node, slot, &window));
         let fate = Fate::Settling;
-        let mut occurrence = Occurrence { slot, window, attempts, faulted, absent, sequence, fate };
+        let mut occurrence = Occurrence { slot, window, attempts, faulted, absent, used, event, fate };
         if self.is_judged(slot, &window) && !self.syncs.give_common_time(self.timeline, window.ready) {
             occurrence.fate = Fate::NoCommonTime;
         } else if self.is_judged(slot, &window) {
-            occurrence.fate = match sequence {
-                None => self.empty(&occurrence, slots),
-                Some(sequence) => self.carried(&occurrence, sequence, slots),
-            };
+            occurrence.fate =
+                if used { self.carried(&occurrence, slots) } else { self.empty(&occurrence, slots) };
         }
         occurrence
     }
@@ -223,7 +227,7 @@ impl Judge<'_> {
     /// A node that was not synchronised spoke of slots at instants of its own, so the first whole period
     /// behind the settling time is left out.
     fn is_judged(&self, slot: &Slot, window: &Window) -> bool {
-        let first = self.ledger.account(slot.etag).and_then(|account| account.events.values().next());
+        let first = self.ledger.account(slot.etag, slot.publisher).and_then(|account| account.events.first());
         let announced = first.is_some_and(|life| life.published_at < window.ready);
         announced && self.settled_at.is_some_and(|settled| window.ready > settled + slot.period)
     }
@@ -260,21 +264,45 @@ impl Judge<'_> {
         Fate::Violated
     }
 
-    fn carried(&self, occurrence: &Occurrence, sequence: u32, slots: &mut Slots) -> Fate {
+    /// The subscription by which a node must get the event of a window.
+    fn subscription(&self, node: TxNode, channel: &Channel, window: &Window) -> Option<&Subscribed> {
+        let early = Span::from(self.journal.cluster.calendar.segment().accuracy);
+        self.ledger.subscription(node, channel.number, (-early).after(window.ready))
+    }
+
+    fn subscriptions(&self, node: TxNode, channel: &Channel) -> usize {
+        let all = self.ledger.subscriptions.iter();
+        all.filter(|it| (it.node, it.channel) == (node, channel.number)).count()
+    }
+
+    fn carried(&self, occurrence: &Occurrence, slots: &mut Slots) -> Fate {
         let slot = occurrence.slot;
         let before = slots.violations.len();
-        let Some(channel) = self.journal.cluster.channel(slot.etag) else { return Fate::Violated };
-        let life = self.ledger.account(slot.etag).and_then(|account| account.events.get(&sequence));
+        let Some(account) = self.ledger.account(slot.etag, slot.publisher) else { return Fate::Violated };
+        let channel = account.channel;
+        let life = occurrence.event.and_then(|event| account.events.get(event));
+        let in_time = |at: &usize| {
+            let attempt = &self.journal.bus.attempts()[*at];
+            attempt.ending == Ending::Sent && attempt.end <= occurrence.window.delivery
+        };
+        let was_sent = occurrence.attempts.iter().any(in_time);
         let mut everywhere = true;
         for subscriber in &channel.subscribers {
+            let Some(subscription) = self.subscription(*subscriber, channel, &occurrence.window) else {
+                continue;
+            };
+            let off = self.was_absent(*subscriber, slot, &occurrence.window);
+            let left = |event| account.is_left(event, subscription) && was_sent && !off;
             let deliveries: Vec<_> =
                 life.into_iter().flat_map(|life| life.deliveries_to(*subscriber)).collect();
             match deliveries.as_slice() {
                 [delivery] => self.visible(occurrence, *subscriber, delivery.visible_at, slots),
+                [] if occurrence.event.is_some_and(left) => {}
                 [] => {
                     everywhere = false;
                     self.missed(occurrence, *subscriber, slots);
                 }
+                several if several.len() <= self.subscriptions(*subscriber, channel) => {}
                 several => slots.violations.push(Violation::Duplicate {
                     ready: occurrence.window.ready,
                     etag: slot.etag,
@@ -283,11 +311,7 @@ impl Judge<'_> {
                 }),
             }
         }
-        let in_time = |at: &usize| {
-            let attempt = &self.journal.bus.attempts()[*at];
-            attempt.ending == Ending::Sent && attempt.end <= occurrence.window.delivery
-        };
-        if !everywhere && !occurrence.attempts.iter().any(in_time) {
+        if !was_sent {
             self.publisher_must_know(occurrence, slots);
         }
         if slots.violations.len() > before {
@@ -324,7 +348,9 @@ impl Judge<'_> {
         let (ready, etag) = (window.ready, slot.etag);
         let told = |kind| self.was_told(subscriber, slot, window, kind);
         let absent = [subscriber, slot.publisher].iter().any(|node| self.was_absent(*node, slot, window));
-        if *faulted <= u32::from(slot.omission_degree) && !absent {
+        if OVERRUN.into_iter().any(told) {
+            // It was there; the application was not fast enough.
+        } else if *faulted <= u32::from(slot.omission_degree) && !absent {
             let faulted = *faulted;
             slots.violations.push(Violation::NotDelivered { ready, etag, subscriber, faulted });
         } else if slot.periodic && !LOST_AT_SUBSCRIBER.into_iter().any(told) {
@@ -392,6 +418,8 @@ fn belongs(slot: &Slot, frame: &Frame) -> bool {
     (id.priority(), id.tx_node(), id.etag()) == (Priority::HARD, slot.publisher, slot.etag)
 }
 
+/// By each of these a subscriber learns that its application was too slow for an event.
+const OVERRUN: [ExceptionKind; 2] = [ExceptionKind::QueueFull, ExceptionKind::EventOverwritten];
 /// By each of these a subscriber learns that it did not get an event.
 const LOST_AT_SUBSCRIBER: [ExceptionKind; 3] =
     [ExceptionKind::MissedEvent, ExceptionKind::ClockOutOfBound, ExceptionKind::SlotSkipped];

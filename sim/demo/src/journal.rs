@@ -5,7 +5,7 @@ use cosmic_core::can::{BitRate, TxNode};
 
 use crate::bus_log::BusLog;
 use crate::clock::{GlobalTimeline, NodeClock};
-use crate::example::Cluster;
+use crate::cluster::Cluster;
 use crate::load::BackgroundLog;
 use crate::record::Record;
 

@@ -2,7 +2,7 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | [`example`] | the cluster that runs: nodes, channels, calendar |
+//! | [`cluster`] | the cluster that runs: nodes, channels, calendar; [`example`]: the one of the repository |
 //! | [`load`] | the background load |
 //! | [`record`], [`bus_log`], [`clock`] | what can be observed: records of the nodes, frames on the wire, time |
 //! | [`journal`], [`ledger`] | what is left of a run, and the life of each event |
@@ -15,6 +15,7 @@
 
 pub mod bus_log;
 pub mod clock;
+pub mod cluster;
 mod columns;
 pub mod example;
 pub mod hard;

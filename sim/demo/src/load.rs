@@ -7,6 +7,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use crate::cluster::Cluster;
 use cosmic_bus::{EventKind, VirtualInstant};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::event_layer::Importance;
@@ -14,8 +15,6 @@ use cosmic_core::network::soft::{Etch, EtchStep, IncidentKind, Outgoing, Priorit
 use cosmic_core::time::{Duration, Instant};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-
-use crate::bus_log::sequence_of;
 
 /// A share of the capacity of the bus, 0 to 1.
 #[derive(Clone, Copy, PartialEq, PartialOrd, Debug)]
@@ -74,6 +73,9 @@ pub struct Background {
     plans_at: VirtualInstant,
     polls_at: Instant,
     sequence: u32,
+    /// Names that it sends under.
+    tx_nodes: Vec<TxNode>,
+    etags: Vec<Etag>,
     log: BackgroundLog,
 }
 
@@ -91,8 +93,18 @@ impl Background {
             plans_at: VirtualInstant::from_ticks(0),
             polls_at: Instant::FAR_FUTURE,
             sequence: 0,
+            tx_nodes: (FIRST_TX_NODE..FIRST_TX_NODE + 64).filter_map(TxNode::new).collect(),
+            etags: (FIRST_ETAG..FIRST_ETAG + 4096).filter_map(Etag::new).collect(),
             log: BackgroundLog::default(),
         }
+    }
+
+    /// With names that no node and no channel of this cluster has.
+    #[must_use]
+    pub fn beside(mut self, cluster: &Cluster) -> Self {
+        self.tx_nodes.retain(|tx_node| cluster.node(*tx_node).is_none());
+        self.etags.retain(|etag| !cluster.etags.contains(etag));
+        self
     }
 
     /// When it acts next by itself.
@@ -211,9 +223,10 @@ impl Background {
     }
 
     fn frame(&mut self, is_soft: bool) -> Frame {
-        let pick = |number: u64, choices: u64| number % choices;
-        let tx_node = TxNode::new(FIRST_TX_NODE + pick(self.random.next_u64(), 64) as u8);
-        let etag = Etag::new(FIRST_ETAG + pick(self.random.next_u64(), 4096) as u16);
+        let pick = |number: u64, choices: u64| number % choices.max(1);
+        let one = |number: u64, choices: usize| pick(number, choices as u64) as usize;
+        let tx_node = self.tx_nodes.get(one(self.random.next_u64(), self.tx_nodes.len())).copied();
+        let etag = self.etags.get(one(self.random.next_u64(), self.etags.len())).copied();
         let importance = Importance::new(pick(self.random.next_u64(), 5) as u8);
         let priority = if is_soft {
             Priority::SOFT_LEAST_URGENT
@@ -223,7 +236,7 @@ impl Background {
         let mut bytes = self.random.next_u64().to_be_bytes();
         bytes[..4].copy_from_slice(&self.sequence.to_be_bytes());
         let len = 4 + pick(self.random.next_u64(), 5) as usize;
-        // Neither is replaced: the ranges lie within the fields.
+        // Of 64 TxNodes and 4096 etags no cluster has all.
         let id = Id::new(priority, tx_node.unwrap_or(TxNode::MAX), etag.unwrap_or(Etag::BOUND_FIRST));
         Frame::new(id, Payload::truncated(bytes, len))
     }
@@ -235,6 +248,11 @@ impl Background {
     fn draw_share(&mut self) -> f64 {
         (self.random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
+}
+
+/// The number of an event of the background load: its content begins with it.
+fn sequence_of(frame: &Frame) -> Option<u32> {
+    frame.payload.as_slice().first_chunk().map(|bytes| u32::from_be_bytes(*bytes))
 }
 
 /// The background load is on no node: its local time is true time.
@@ -254,7 +272,7 @@ const USUAL_FRAME_BITS: f64 = 122.0;
 const SHORTEST_DEADLINE: Duration = Duration::from_millis(1);
 const DEADLINES: Duration = Duration::from_millis(19);
 const VALID_LONGER: Duration = Duration::from_millis(20);
-/// No TxNode, and no etag, of the example cluster.
+/// Those of nodes and channels are taken out.
 const FIRST_TX_NODE: u8 = 0x20;
 const FIRST_ETAG: u16 = 0x2000;
 /// So that the bus, which has the same seed, draws other numbers.

@@ -3,6 +3,7 @@
 //! Exit code 0: all as promised. 1: not. 2: it could not be run.
 
 use std::io::{self, IsTerminal as _, Write as _};
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -10,6 +11,7 @@ use cosmic_bus::{Chance, VirtualInstant};
 use cosmic_commands::demo::Options;
 use cosmic_commands::output::{self, Pending};
 use cosmic_core::time::Duration;
+use cosmic_demo::cluster::Cluster;
 use cosmic_demo::load::Share;
 use cosmic_demo::picture;
 use cosmic_demo::progress::Progress;
@@ -32,6 +34,10 @@ fn main() -> ExitCode {
 
 /// Runs, prints, writes. Returns whether everything was as promised.
 fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
+    // It lives as long as the program, which runs one cluster.
+    let file = options.cluster.as_ref().ok_or("say which cluster runs: --cluster FILE")?;
+    let images = options.images.as_ref().ok_or("say where the images are: --images DIR")?;
+    let cluster: &'static Cluster = Box::leak(Box::new(Cluster::read(file)?));
     output::directory(&options.out)?;
     let remedy = "name another directory with --out";
     let mut log = Pending::create(options.out.join("candump.log"), remedy)?;
@@ -40,7 +46,7 @@ fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
     let mut json = options.json.as_ref().map(|path| Pending::create(path, remedy)).transpose()?;
 
     let mut progress = Progress::new(VirtualInstant::from_ticks(0) + length(options));
-    let journal = run::run(&plan(options)?, &mut log, |now| progress.reached(now))?;
+    let journal = run::run(&plan(options, cluster, images)?, &mut log, |now| progress.reached(now))?;
     eprintln!("demo: {}", progress.finish());
     let verdict = Verdict::of(&journal);
     let settings = settings(options);
@@ -55,6 +61,13 @@ fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
     if let Some(json) = json {
         places.push(("report", json.finish()?));
     }
+    eprintln!(
+        "demo: cluster {}, planned from {}, calendar {:08X}; images in {}",
+        cluster.name,
+        cluster.file.display(),
+        cluster.calendar.digest(),
+        images.display()
+    );
     let style = if io::stdout().is_terminal() { Style::Colours } else { Style::Plain };
     let mut out = io::stdout().lock();
     write!(out, "{}", Tables { report: &report, style })?;
@@ -64,9 +77,14 @@ fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
     Ok(report.passed)
 }
 
-fn plan(options: &Options) -> Result<Plan, Box<dyn core::error::Error>> {
+fn plan(
+    options: &Options,
+    cluster: &'static Cluster,
+    images: &Path,
+) -> Result<Plan, Box<dyn core::error::Error>> {
     Ok(Plan {
-        images: options.images.clone(),
+        cluster,
+        images: images.into(),
         length: length(options),
         seed: options.seed,
         load: Share::percent(options.load).ok_or("--load must be from 0 to 100")?,

@@ -7,7 +7,7 @@
 
 use cosmic_bus::VirtualInstant;
 use cosmic_core::calendar::Calendar;
-use cosmic_core::can::{Frame, Priority, TxNode};
+use cosmic_core::can::{Priority, TxNode};
 
 use crate::bus_log::is_soft;
 use crate::journal::Journal;
@@ -55,21 +55,23 @@ pub fn judge(journal: &Journal, ledger: &Ledger) -> Order {
 }
 
 fn between_nodes(journal: &Journal, ledger: &Ledger, order: &mut Order) {
-    let deadline_of = |frame: &Frame| match ledger.life(frame) {
+    let loads = journal.bus.loads();
+    let deadline_of = |load: usize| match ledger.life(load) {
         Some(life) => life.deadline,
-        None => journal.background.deadline(frame),
+        None => journal.background.deadline(&loads.get(load)?.frame),
     };
     let bound = bound(journal.cluster.calendar);
     for contest in journal.bus.contests() {
         let Some(attempt) = journal.bus.attempts().get(contest.winner) else { continue };
-        let Some(winner) = attempt.frame() else { continue };
-        let Some((won, lost)) = deadline_of(&winner).zip(deadline_of(&contest.loser)) else { continue };
+        let won = attempt.load.and_then(deadline_of);
+        let Some((won, lost)) = won.zip(deadline_of(contest.loser)) else { continue };
         order.contests += 1;
         let remaining = |deadline| remaining(journal.cluster.calendar, attempt.start, deadline);
         let by = remaining(won) - remaining(lost);
         order.worst = Some(order.worst.map_or(by, |worst| worst.max(by)));
         if by > bound {
-            let (winner, loser) = (winner.id.tx_node(), contest.loser.id.tx_node());
+            let sender = |load: usize| loads[load].frame.id.tx_node();
+            let (winner, loser) = (attempt.load.map_or(TxNode::MAX, sender), sender(contest.loser));
             order.inversions.push(Inversion { at: attempt.start, winner, loser, by });
         }
     }
@@ -86,11 +88,11 @@ fn within_nodes(journal: &Journal, ledger: &Ledger, order: &mut Order) {
     let bound = bound(journal.cluster.calendar);
     for node in &journal.cluster.nodes {
         let queue = Queue::of(ledger, node.tx_node);
-        for load in journal.bus.loads().iter().filter(|load| is_soft(load.frame.id)) {
-            if load.frame.id.tx_node() != node.tx_node {
+        for (index, load) in journal.bus.loads().iter().enumerate() {
+            if !is_soft(load.frame.id) || load.frame.id.tx_node() != node.tx_node {
                 continue;
             }
-            let Some(deadline) = ledger.life(&load.frame).and_then(|life| life.deadline) else { continue };
+            let Some(deadline) = ledger.life(index).and_then(|life| life.deadline) else { continue };
             let Some(earliest) = queue.earliest_waiting(load.at, bound) else { continue };
             order.choices += 1;
             let by = Span::between(earliest, deadline);
@@ -111,8 +113,8 @@ struct Queue<'l> {
 impl<'l> Queue<'l> {
     fn of(ledger: &'l Ledger, publisher: TxNode) -> Self {
         let accounts = ledger.channels.iter().filter(|account| account.channel.publisher == publisher);
-        let lives = accounts.flat_map(|account| account.events.values());
-        let mut lives: Vec<_> = lives.filter(|life| life.taken && life.expires_at.is_some()).collect();
+        let lives = accounts.flat_map(|account| account.events.iter());
+        let mut lives: Vec<_> = lives.filter(|life| life.taken && life.deadline.is_some()).collect();
         lives.sort_by_key(|life| life.published_at);
         let spans = lives.iter().filter_map(|life| Some(Span::between(life.published_at, life.expires_at?)));
         let longest = spans.max().unwrap_or_default();

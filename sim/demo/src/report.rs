@@ -9,7 +9,7 @@ use cosmic_core::event_layer::ExceptionKind;
 use serde::Serialize;
 
 use crate::bus_log::{Attempt, Ending};
-use crate::example::{Channel, Promise};
+use crate::cluster::{Channel, Promise};
 use crate::hard::{self, Fate};
 use crate::journal::Journal;
 use crate::order;
@@ -258,7 +258,7 @@ fn channel(
     ChannelReport {
         name: channel.name,
         class: channel.class.name(),
-        publisher: journal.cluster.name(channel.publisher),
+        publisher: journal.cluster.name_of(channel.publisher),
         published: totals.published,
         refused: totals.refused,
         sent: totals.sent,
@@ -282,8 +282,8 @@ fn subscriber(
 ) -> SubscriberReport {
     let (mut latency, mut taken, mut jitter) = (Spread::default(), Spread::default(), Spread::default());
     let (mut delivered, mut duplicates, mut previous) = (0, 0, None);
-    let account = verdict.ledger.account(channel.etag);
-    for life in account.into_iter().flat_map(|account| account.events.values()) {
+    let account = verdict.ledger.account(channel.etag, channel.publisher);
+    for life in account.into_iter().flat_map(|account| account.events.iter()) {
         let mut deliveries = life.deliveries_to(node);
         let Some(first) = deliveries.next() else { continue };
         delivered += 1;
@@ -296,11 +296,13 @@ fn subscriber(
         }
     }
     if channel.class == Promise::Hard {
-        let of = verdict.slots.jitter.iter().find(|(at, slot, _)| (*at, slot.etag) == (node, channel.etag));
+        let of = verdict.slots.jitter.iter().find(|(at, slot, _)| {
+            (*at, slot.etag, slot.publisher) == (node, channel.etag, channel.publisher)
+        });
         jitter = of.map_or(Spread::default(), |(.., spread)| *spread);
     }
     SubscriberReport {
-        node: journal.cluster.name(node),
+        node: journal.cluster.name_of(node),
         delivered,
         duplicates,
         latency_us: latency.range(),
@@ -370,7 +372,10 @@ fn background(journal: &Journal) -> BackgroundReport {
 }
 
 fn exceptions(journal: &Journal, verdict: &Verdict) -> Vec<ExceptionReport> {
-    let channels = journal.cluster.channels.iter().map(Some).chain([None]);
+    // A channel with several publishers stands in the cluster several times.
+    let mut channels: Vec<_> = journal.cluster.channels.iter().collect();
+    channels.dedup_by_key(|channel| channel.etag);
+    let channels = channels.into_iter().map(Some).chain([None]);
     let places = channels.flat_map(|channel| journal.cluster.nodes.iter().map(move |node| (channel, node)));
     let started = judged_from(verdict);
     let mut reports = Vec::new();
@@ -382,7 +387,8 @@ fn exceptions(journal: &Journal, verdict: &Verdict) -> Vec<ExceptionReport> {
             let starting = |it: &&super::ledger::Told| started.is_none_or(|started| it.at < started);
             let while_starting = verdict.ledger.told.iter().filter(same).filter(starting).count();
             if count > 0 {
-                let is_publisher = |channel: &Channel| channel.publisher == node.tx_node;
+                let is_publisher =
+                    |channel: &Channel| journal.cluster.channel_of(channel.etag, node.tx_node).is_some();
                 reports.push(ExceptionReport {
                     node: node.name,
                     channel: channel.map(|channel| channel.name),

@@ -17,7 +17,7 @@ use thiserror::Error;
 
 use crate::bus_log::BusLog;
 use crate::clock::NodeClock;
-use crate::example::{Cluster as Example, EXAMPLE};
+use crate::cluster::Cluster as Judged;
 use crate::hard;
 use crate::journal::{Journal, LoggedError};
 use crate::load::{Background, Share};
@@ -28,6 +28,8 @@ use cosmic_emu::{ClockError, Cluster, LoadError, NodeConfig, NodeId, Observation
 /// What a run is to be like.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Plan {
+    /// What runs.
+    pub cluster: &'static Judged,
     /// Where the images are; each has the name of its node.
     pub images: PathBuf,
     /// How long it takes, in virtual time.
@@ -67,7 +69,10 @@ pub enum RunError {
         error: RecordError,
     },
     /// The timer of a node never ran, or not at the rate that local time is counted at.
-    #[error("{node}: TIM2 does not count at 4 MHz, so its local time is not known; run the example's images")]
+    #[error(
+        "{node}: TIM2 does not count at 4 MHz, so its local time is not known; the demo runs images for the boards \
+         of the crate `boards`"
+    )]
     NoClock {
         /// Which.
         node: &'static str,
@@ -77,7 +82,7 @@ pub enum RunError {
     Log(#[from] io::Error),
 }
 
-/// Runs the example as planned, and writes the log of the bus. `reached` is called now and then.
+/// Runs the cluster as planned, and writes the log of the bus. `reached` is called now and then.
 ///
 /// # Errors
 /// [`RunError`].
@@ -101,7 +106,7 @@ pub fn run(
 }
 
 struct Run<W> {
-    example: &'static Example,
+    judged: &'static Judged,
     cluster: Cluster,
     nodes: Vec<Observed>,
     background: Rc<RefCell<Background>>,
@@ -132,29 +137,30 @@ enum Burst {
 
 impl<W: io::Write> Run<W> {
     fn start(plan: &Plan, log: W) -> Result<Self, RunError> {
-        let example: &'static Example = &EXAMPLE;
-        let bit_rate = example.calendar.segment().bit_rate;
+        let judged = plan.cluster;
+        let bit_rate = judged.calendar.segment().bit_rate;
         let faults = FaultModel::seeded(plan.seed).with_inversion(plan.errors);
         let mut cluster = Cluster::new(Bus::new(bit_rate, faults));
         cluster.bus_mut().record_trace(true);
         let mut nodes = Vec::new();
-        for (at, node) in example.nodes.iter().enumerate() {
+        for (at, node) in judged.nodes.iter().enumerate() {
             let mut config = NodeConfig::new(node.name, plan.images.join(node.name));
-            let (start, drift) = DIFFERENCES[at % DIFFERENCES.len()];
+            let (start, drift) = difference(at);
             config.start_at = VirtualInstant::from_ticks(0) + start;
             config.clock_error = ClockError::parts_per_million(drift).unwrap_or_default();
             let id = cluster.add_node(config)?;
             let (name, tx_node, records) = (node.name, node.tx_node, Records::default());
             nodes.push(Observed { id, name, tx_node, records, first: None });
         }
-        let map = PriorityMap::of_calendar(example.calendar);
-        let background = Rc::new(RefCell::new(Background::new(bit_rate, map, plan.load, plan.seed)));
+        let map = PriorityMap::of_calendar(judged.calendar);
+        let background =
+            Rc::new(RefCell::new(Background::new(bit_rate, map, plan.load, plan.seed).beside(judged)));
         cluster.add_station(
             "background",
             Box::new(Loading { background: background.clone(), commands: vec![] }),
         );
         Ok(Self {
-            example,
+            judged,
             cluster,
             nodes,
             background,
@@ -193,7 +199,7 @@ impl<W: io::Write> Run<W> {
                 }
             }
             Burst::Planned(from, until) if from <= now => {
-                let slot = &self.example.calendar.slots()[0];
+                let Some(slot) = self.judged.calendar.slots().first() else { return };
                 let id = Id::new(Priority::HARD, slot.publisher, slot.etag);
                 // Not replaced: a COSMIC identifier has 29 bits.
                 let id = ExtendedId::new(id.raw()).unwrap_or(ExtendedId::ZERO);
@@ -214,7 +220,7 @@ impl<W: io::Write> Run<W> {
     /// The next window of the first slot, with some time around it.
     fn next_window(&self, now: VirtualInstant) -> Option<(VirtualInstant, VirtualInstant)> {
         let journal = self.journal(now).ok()?;
-        let slot = self.example.calendar.slots().first()?;
+        let slot = self.judged.calendar.slots().first()?;
         let last = *hard::windows(&journal, &journal.timeline(), slot).last()?;
         let periods = Span::between(last.ready, now).as_nanos() / Span::from(slot.period).as_nanos() + 1;
         let later = Duration::from_ticks(periods.unsigned_abs() * slot.period.as_ticks());
@@ -233,7 +239,7 @@ impl<W: io::Write> Run<W> {
         for seen in self.cluster.take_observations() {
             let Some(node) = self.nodes.get_mut(seen.node.index()) else { continue };
             match seen.kind {
-                ObservationKind::Record { channel, bytes } if channel == "records" => {
+                ObservationKind::Record { channel, bytes } if channel == cosmic_records::CHANNEL => {
                     let mut records = Vec::new();
                     let read = node.records.take(&bytes, &mut records);
                     read.map_err(|error| RunError::Record { node: node.name, error })?;
@@ -272,7 +278,7 @@ impl<W: io::Write> Run<W> {
 
     fn journal(&self, end: VirtualInstant) -> Result<Journal, RunError> {
         Ok(Journal {
-            cluster: self.example,
+            cluster: self.judged,
             bit_rate: self.cluster.bus().bit_rate(),
             bus: self.bus.clone(),
             accounting: self.cluster.bus().accounting().clone(),
@@ -334,7 +340,16 @@ impl Station for Loading {
     }
 }
 
-/// When each node is switched on, and how many millionths its crystal is off: no two are alike.
+/// When the node with this number is switched on, and how many millionths its crystal is off: no two are alike.
+fn difference(number: usize) -> (Duration, i32) {
+    DIFFERENCES.get(number).copied().unwrap_or_else(|| {
+        // The steps have no divisor in common with the ranges.
+        let start = Duration::from_micros(700 + number as u64 * 1_700 % 9_973);
+        (start, (number * 31 % 81) as i32 - 40)
+    })
+}
+
+/// Of the first nodes.
 const DIFFERENCES: [(Duration, i32); 3] = [
     (Duration::from_micros(1_300), 40),
     (Duration::from_micros(200), -35),

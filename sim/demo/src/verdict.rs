@@ -1,10 +1,11 @@
 //! The verdict: whether everything was as promised, and whether everything that was lost was reported.
 
 use cosmic_bus::VirtualInstant;
+use cosmic_core::can::TxNode;
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::time::Duration;
 
-use crate::example::{Channel, Promise};
+use crate::cluster::{Channel, Promise};
 use crate::hard::{self, Slots};
 use crate::journal::Journal;
 use crate::ledger::{Account, Ledger, Life};
@@ -53,7 +54,8 @@ impl Verdict {
         let slots = hard::judge(journal, &ledger);
         let order = order::judge(journal, &ledger);
         let mut violations = slots.violations.clone();
-        if !slots.occurrences.iter().any(|it| it.fate.is_judged()) {
+        let has_slots = !journal.cluster.calendar.slots().is_empty();
+        if has_slots && !slots.occurrences.iter().any(|it| it.fate.is_judged()) {
             violations.push(Violation::NothingJudged { destroyed: destroyed(journal) });
         }
         let digest = journal.cluster.calendar.digest();
@@ -63,6 +65,8 @@ impl Verdict {
         violations.extend(order.inversions.iter().map(|inversion| Violation::OutOfOrder(*inversion)));
         violations.extend(untold_bus_offs(journal, &ledger));
         violations.extend(journal.errors.iter().cloned().map(Violation::Logged));
+        let lost = ledger.lost_records.iter();
+        violations.extend(lost.map(|(node, count)| Violation::RecordsLost { node: *node, count: *count }));
         if ledger.unknown_events > 0 {
             violations.push(Violation::Invented { count: ledger.unknown_events });
         }
@@ -110,7 +114,7 @@ struct Books<'j> {
 
 impl Books<'_> {
     fn totals(&self, account: &Account, violations: &mut Vec<Violation>) -> Totals {
-        let lives = || account.events.values();
+        let lives = || account.events.iter();
         let published = lives().filter(|life| life.taken).count();
         let mut totals = Totals {
             published,
@@ -118,17 +122,14 @@ impl Books<'_> {
             sent: lives().filter(|life| life.sent_at.is_some()).count(),
             ..Totals::default()
         };
-        if account.gaps() > 0 {
-            violations.push(Violation::RecordsLost { etag: account.channel.etag, count: account.gaps() });
-        }
-        self.check_refused(account.channel, totals.refused, violations);
+        self.check_refused(account.channel, account.refused_by_queue(), violations);
         match account.channel.class {
             Promise::Hard => self.total_hard(account, &mut totals, violations),
             Promise::Soft { .. } => {
                 self.total_soft(account, &mut totals, violations);
                 self.check_deliveries(account, violations);
             }
-            Promise::NonRealTime => {
+            Promise::NonRealTime { .. } => {
                 self.total_non_real_time(account, &mut totals, violations);
                 self.check_deliveries(account, violations);
             }
@@ -148,13 +149,23 @@ impl Books<'_> {
     fn total_hard(&self, account: &Account, totals: &mut Totals, violations: &mut Vec<Violation>) {
         let channel = account.channel;
         let settled = |life: &&Life| self.slots.settled_at.is_some_and(|at| life.published_at > at);
-        let period = self.journal.cluster.calendar.slots().iter().find(|slot| slot.etag == channel.etag);
+        let period = self
+            .journal
+            .cluster
+            .calendar
+            .slots()
+            .iter()
+            .find(|slot| (slot.etag, slot.publisher) == (channel.etag, channel.publisher));
         let late = period.map_or(self.journal.end, |slot| {
             (-Span::from(slot.period + slot.period)).after(self.journal.end)
         });
-        for life in account.events.values() {
-            let arrived = channel.subscribers.iter().all(|it| life.deliveries_to(*it).next().is_some());
-            if arrived {
+        for (at, life) in account.events.iter().enumerate() {
+            let arrived = |node: &TxNode| {
+                let expected = self.ledger.subscription(*node, channel.number, life.published_at);
+                let is_left = |subscription| account.is_left(at, subscription);
+                expected.is_none_or(is_left) || life.deliveries_to(*node).next().is_some()
+            };
+            if life.sent_at.is_some() && channel.subscribers.iter().all(arrived) {
                 continue;
             } else if life.published_at > late {
                 totals.under_way += 1;
@@ -177,7 +188,7 @@ impl Books<'_> {
 
     fn total_soft(&self, account: &Account, totals: &mut Totals, violations: &mut Vec<Violation>) {
         let (end, tolerance) = (self.journal.end, Span::from(TOLERANCE));
-        let lives = || account.events.values().filter(|life| life.taken);
+        let lives = || account.events.iter().filter(|life| life.taken);
         let over = |at: Option<VirtualInstant>, by| at.is_some_and(|at| by > tolerance.after(at));
         let unsent = |life: &&Life| life.sent_at.is_none();
         totals.expired = lives().filter(unsent).filter(|life| over(life.expires_at, end)).count();
@@ -191,30 +202,40 @@ impl Books<'_> {
             }
         };
         let possibly = totals.expired + totals.under_way;
-        check(Loss::Expired, totals.expired..=possibly, told(ExceptionKind::ValidityExpired), violations);
+        // Of what happened just before the end, the application may not have been told yet.
+        let recent = (-Span::from(NOTIFIED)).after(end);
+        let surely = lives().filter(unsent).filter(|life| over(life.expires_at, recent)).count();
+        check(Loss::Expired, surely..=possibly, told(ExceptionKind::ValidityExpired), violations);
         // Who is late by less than the tolerance may count either way.
-        let late = |slack: Span| {
+        let late = |slack: Span, end: VirtualInstant| {
             let late = |life: &&Life| {
-                let sent = life.sent_at.unwrap_or(end);
+                let sent = life.sent_at.unwrap_or(end).min(end);
                 life.deadline.is_some_and(|deadline| sent > slack.after(deadline))
             };
             lives().filter(late).count()
         };
         totals.missed = told(ExceptionKind::MissedDeadline);
-        check(Loss::Late, late(tolerance)..=late(-tolerance), totals.missed, violations);
+        check(Loss::Late, late(tolerance, recent)..=late(-tolerance, end), totals.missed, violations);
     }
 
     /// Non real-time events of a channel are sent in the order in which they were published.
     fn total_non_real_time(&self, account: &Account, totals: &mut Totals, violations: &mut Vec<Violation>) {
-        let taken = || account.events.iter().filter(|(_, life)| life.taken);
-        let last_sent = taken().filter(|(_, life)| life.sent_at.is_some()).map(|(number, _)| *number).max();
-        let unsent = || taken().filter(|(_, life)| life.sent_at.is_none()).map(|(number, _)| *number);
-        let overtaken = unsent().filter(|number| last_sent.is_some_and(|last| *number < last)).count();
-        totals.under_way = unsent().count() - overtaken;
-        if overtaken > 0 {
-            let (etag, node) = (account.channel.etag, account.channel.publisher);
+        let (etag, node) = (account.channel.etag, account.channel.publisher);
+        let end = self.journal.end;
+        let last_sent = account.events.iter().rposition(|life| life.sent_at.is_some()).unwrap_or(0);
+        let unsent = || account.events.iter().enumerate().filter(|(_, it)| it.taken && it.sent_at.is_none());
+        let has_expired = |life: &Life| life.expires_at.is_some_and(|expires| expires < end);
+        totals.expired = unsent().filter(|(_, life)| has_expired(life)).count();
+        let reported = self.ledger.count(node, etag, ExceptionKind::ValidityExpired);
+        if totals.expired > reported {
+            let (what, lost) = (Loss::Expired, totals.expired);
+            violations.push(Violation::Unreported { etag, node, what, lost, reported });
+        }
+        let lost = unsent().filter(|(at, life)| !has_expired(life) && *at < last_sent).count();
+        totals.under_way = unsent().count() - totals.expired - lost;
+        if lost > 0 {
             let what = Loss::Overtaken;
-            violations.push(Violation::Unreported { etag, node, what, lost: overtaken, reported: 0 });
+            violations.push(Violation::Unreported { etag, node, what, lost, reported: 0 });
         }
     }
 
@@ -223,12 +244,18 @@ impl Books<'_> {
         let channel = account.channel;
         let recent = (-Span::from(NOTIFIED)).after(self.journal.end);
         for node in &channel.subscribers {
-            let sent = account.events.values().filter(|life| life.sent_at.is_some_and(|at| at < recent));
-            // That a node was bus-off is reported as such.
-            let heard = |life: &&Life| {
-                life.sent_at.is_none_or(|at| !self.journal.was_off(*node, life.published_at, at))
+            let is_lost = |(at, life): &(usize, &Life)| {
+                let Some(sent_at) = life.sent_at.filter(|sent| *sent < recent) else { return false };
+                let published_at = life.published_at;
+                let Some(subscription) = self.ledger.subscription(*node, channel.number, published_at) else {
+                    return false;
+                };
+                // That a node was bus-off is reported as such.
+                life.deliveries_to(*node).next().is_none()
+                    && !account.is_left(*at, subscription)
+                    && !self.journal.was_off(*node, published_at, sent_at)
             };
-            let lost = sent.filter(heard).filter(|life| life.deliveries_to(*node).next().is_none()).count();
+            let lost = account.events.iter().enumerate().filter(is_lost).count();
             let told = |kind| self.ledger.count(*node, channel.etag, kind);
             let kinds = [ExceptionKind::QueueFull, ExceptionKind::EventOverwritten, ExceptionKind::Malformed];
             let reported: usize = kinds.into_iter().map(told).sum();

@@ -4,8 +4,8 @@ use cosmic_bus::VirtualInstant;
 use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 
+use crate::cluster::Cluster;
 use crate::columns::{agreeing, counted};
-use crate::example::Cluster;
 use crate::journal::LoggedError;
 use crate::order::Inversion;
 use crate::span::Span;
@@ -98,10 +98,10 @@ pub enum Violation {
     },
     /// A soft real-time event was sent before a more urgent one that competed with it.
     OutOfOrder(Inversion),
-    /// Records of a channel are missing, so nothing is known of these events.
+    /// Records of a node are missing, so nothing is known of these events.
     RecordsLost {
-        /// The channel.
-        etag: Etag,
+        /// Which.
+        node: TxNode,
         /// How many.
         count: u64,
     },
@@ -142,7 +142,7 @@ impl Violation {
     /// In words, for one line.
     pub fn describe(&self, cluster: &Cluster) -> String {
         let channel = |etag: &Etag| cluster.channel(*etag).map_or("another channel", |it| it.name);
-        let name = |node: &TxNode| cluster.name(*node);
+        let name = |node: &TxNode| cluster.name_of(*node);
         let slot =
             |etag: &Etag, ready: &VirtualInstant| format!("{} at {}", channel(etag), milliseconds(*ready));
         match self {
@@ -196,9 +196,9 @@ impl Violation {
                 inversion.by,
                 name(&inversion.loser)
             ),
-            Self::RecordsLost { etag, count } => {
+            Self::RecordsLost { node, count } => {
                 let verb = if *count == 1 { "is" } else { "are" };
-                format!("{}: {} {verb} missing", channel(etag), counted(*count, "record"))
+                format!("{}: {} {verb} missing", name(node), counted(*count, "record"))
             }
             Self::BusOffUntold { node, at } => {
                 format!("{} was bus-off from {} on and was not told", name(node), milliseconds(*at))

@@ -37,12 +37,15 @@ fn images() -> PathBuf {
 
 fn demo(images: &Path, arguments: &[&str], out: &Path, json: Option<&Path>) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_demo"));
-    command.arg("--images").arg(images).arg("--out").arg(out).args(arguments);
+    command.arg("--cluster").arg(EXAMPLE).arg("--images").arg(images).arg("--out").arg(out).args(arguments);
     if let Some(json) = json {
         command.arg("--json").arg(json);
     }
     command.output().unwrap()
 }
+
+/// The cluster that the images are built for.
+const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../cosmic-plan/examples/vehicle.toml");
 
 fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
@@ -63,7 +66,7 @@ fn passed(name: &str, arguments: &[&str]) -> (String, Value, Vec<u8>) {
 
 fn exceptions(report: &Value, role: &str, kind: &str) -> u64 {
     let all = report["exceptions"].as_array().unwrap().iter();
-    let these = all.filter(|it| it["role"] == role && it["kind"] == kind && it["channel"] == "wheel speed");
+    let these = all.filter(|it| it["role"] == role && it["kind"] == kind && it["channel"] == "wheel_speed");
     these.map(|it| it["count"].as_u64().unwrap()).sum()
 }
 
@@ -101,13 +104,13 @@ fn a_burst_beyond_the_omission_degree_is_reported_at_publisher_and_subscribers()
 
 #[test]
 fn the_promise_is_kept_at_any_error_rate() {
-    for rate in ["0", "0.05", "0.2", "0.3", "0.5", "0.7", "0.8"] {
+    for rate in ["0", "0.05", "0.2", "0.3", "0.5", "0.7", "0.8", "0.9", "0.97"] {
         for (seed, load) in [("1", "60"), ("2", "100")] {
             let arguments = ["--seconds", "1.5", "--errors", rate, "--seed", seed, "--load", load];
             let scratch = Scratch::new("rates");
             let printed = text(&demo(&images(), &arguments, &scratch.0, None).stdout);
             // From here on the clocks may not come together at all, which is no fault of the nodes.
-            let is_hopeless = matches!(rate, "0.7" | "0.8") && printed.contains(NOT_JUDGED);
+            let is_hopeless = rate > "0.69" && printed.contains(NOT_JUDGED);
             assert!(printed.contains("PASSED") || is_hopeless, "{rate}, seed {seed}, load {load}: {printed}");
         }
     }

@@ -54,8 +54,14 @@ fn readme_shows_what_the_demo_prints_and_draws() {
     fs::create_dir_all(&scratch).unwrap();
     let shown = between(&readme, PROMPT, END);
     let (arguments, expected) = readme[shown.clone()].split_once('\n').unwrap();
+    let cluster = repository().join("cosmic-plan/examples/vehicle.toml");
     let mut demo = Command::new(env!("CARGO_BIN_EXE_demo"));
-    demo.current_dir(&scratch).arg("--images").arg(images()).args(arguments.split_whitespace());
+    demo.current_dir(&scratch)
+        .arg("--images")
+        .arg(images())
+        .arg("--cluster")
+        .arg(cluster)
+        .args(arguments.split_whitespace());
     let output = demo.output().unwrap();
     let printed = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.success(), "{printed}{}", String::from_utf8_lossy(&output.stderr));

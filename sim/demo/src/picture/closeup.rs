@@ -34,7 +34,7 @@ pub(super) fn draw(journal: &Journal, verdict: &Verdict, occurrence: &Occurrence
         .add(Area::between(LEFT, RIGHT, lane.y, lane.height).rectangle(LANE))
         .add(Label::new("bus", 13.0).bold().anchor(Anchor::End).at(LEFT - 12.0, lane.y + 25.0))
         .add(instants(occurrence, &scale, top, bottom))
-        .add(frames::draw(journal, &lane));
+        .add(frames::draw(journal, &verdict.ledger, &lane));
     for (at, node) in journal.cluster.nodes.iter().enumerate() {
         let y = top + NODES + at as f64 * NODE_LANE;
         let name = Label::new(node.name, 13.0).bold().shrunk_to(LEFT - 16.0).anchor(Anchor::End);
@@ -111,11 +111,12 @@ fn seen(
     y: f64,
 ) -> Group {
     let mut group = Group::new();
-    let account = verdict.ledger.account(occurrence.slot.etag);
-    let life = account.zip(occurrence.sequence).and_then(|(account, number)| account.events.get(&number));
-    let channel = journal.cluster.channel(occurrence.slot.etag);
+    let slot = occurrence.slot;
+    let account = verdict.ledger.account(slot.etag, slot.publisher);
+    let life = account.zip(occurrence.event).and_then(|(account, number)| account.events.get(number));
+    let channel = journal.cluster.channel_of(slot.etag, slot.publisher);
     if let Some((life, channel)) = life.zip(channel) {
-        let number = occurrence.sequence.unwrap_or(0);
+        let number = occurrence.event.unwrap_or(0);
         if channel.publisher == node {
             let before =
                 (occurrence.window.ready.as_ticks().saturating_sub(life.published_at.as_ticks())) as f64;

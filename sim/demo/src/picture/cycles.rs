@@ -40,7 +40,7 @@ pub(super) fn draw(
         for occurrence in shown {
             group = group.add(window(occurrence, &scale, y, focus == Some(occurrence)));
         }
-        group = group.add(frames::draw(journal, &lane));
+        group = group.add(frames::draw(journal, &verdict.ledger, &lane));
         let shown = verdict.slots.occurrences.iter().filter(|it| scale.shows(it.window.ready));
         for occurrence in shown {
             group = group.add(instants(occurrence, &scale, y));

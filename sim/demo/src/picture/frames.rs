@@ -6,9 +6,10 @@ use svg::node::element::Group;
 
 use super::canvas::{Anchor, Area, Label, Scale, cross, explained};
 use super::palette::{ERROR, HATCH, Look, PAPER};
-use crate::bus_log::{Attempt, Ending, sequence_of};
-use crate::example::Cluster;
+use crate::bus_log::{Attempt, Ending};
+use crate::cluster::Cluster;
 use crate::journal::Journal;
+use crate::ledger::Ledger;
 
 /// A lane for frames.
 #[derive(Clone, Copy, Debug)]
@@ -21,7 +22,7 @@ pub(super) struct Lane {
 }
 
 /// Draws all attempts that the lane shows.
-pub(super) fn draw(journal: &Journal, lane: &Lane) -> Group {
+pub(super) fn draw(journal: &Journal, ledger: &Ledger, lane: &Lane) -> Group {
     let attempts = journal.bus.attempts();
     let first = attempts.partition_point(|attempt| attempt.end < lane.scale.from);
     let mut group = Group::new();
@@ -30,17 +31,23 @@ pub(super) fn draw(journal: &Journal, lane: &Lane) -> Group {
             break;
         }
         let next = attempts.get(at + 1).map(|next| next.start);
-        group = group.add(frame(journal, lane, attempt, next));
+        group = group.add(frame(journal, ledger, lane, attempt, next));
     }
     group
 }
 
-fn frame(journal: &Journal, lane: &Lane, attempt: &Attempt, next: Option<VirtualInstant>) -> Group {
+fn frame(
+    journal: &Journal,
+    ledger: &Ledger,
+    lane: &Lane,
+    attempt: &Attempt,
+    next: Option<VirtualInstant>,
+) -> Group {
     let look = Look::of(journal.cluster, attempt);
     let (left, right) = (lane.scale.x(attempt.start), lane.scale.x(attempt.end));
     let area = Area::between(left, right, lane.y, lane.height);
     let paint = look.paint();
-    let mut group = explained(&describe(journal.cluster, attempt));
+    let mut group = explained(&describe(journal.cluster, ledger, attempt));
     let failed = attempt.has_failed();
     let repeated = attempt.attempt > 1;
     let mut shape = area.rectangle(if failed { HATCH } else { paint.fill });
@@ -55,18 +62,25 @@ fn frame(journal: &Journal, lane: &Lane, attempt: &Attempt, next: Option<Virtual
         let until = error_frame_end(journal.bit_rate, attempt, next);
         let flag = Area::between(right, lane.scale.x(until), lane.y, lane.height);
         group = group.add(flag.rectangle(ERROR));
-    } else if let Some(text) = fitting(&names(journal.cluster, attempt), area.width, lane.text) {
+    } else if let Some(text) = fitting(&names(journal.cluster, ledger, attempt), area.width, lane.text) {
         let label = Label::new(&text, lane.text).ink(paint.ink).anchor(Anchor::Middle);
         group = group.add(label.at(left + area.width / 2.0, lane.y + lane.height / 2.0 + lane.text * 0.36));
     }
     if lane.text >= ANNOTATED {
-        group = annotate(journal.cluster, lane, attempt, &area, group);
+        group = annotate(journal.cluster, ledger, lane, attempt, &area, group);
     }
     group
 }
 
 /// Says above and below the box what cannot stand in it.
-fn annotate(cluster: &Cluster, lane: &Lane, attempt: &Attempt, area: &Area, mut group: Group) -> Group {
+fn annotate(
+    cluster: &Cluster,
+    ledger: &Ledger,
+    lane: &Lane,
+    attempt: &Attempt,
+    area: &Area,
+    mut group: Group,
+) -> Group {
     let (middle, size) = (area.x + area.width / 2.0, lane.text - 1.0);
     fn label(text: &str, size: f64) -> Label<'_> {
         Label::new(text, size).ink(ERROR).bold().anchor(Anchor::Middle).halo()
@@ -78,7 +92,8 @@ fn annotate(cluster: &Cluster, lane: &Lane, attempt: &Attempt, area: &Area, mut 
     let below = if attempt.has_failed() {
         group = group.add(label("destroyed", size).at(middle, lane.y - 5.0));
         let comma = if again.is_empty() { "" } else { ", " };
-        let names = names(cluster, attempt).into_iter().skip(1).map(|name| format!("{name}{comma}{again}"));
+        let names =
+            names(cluster, ledger, attempt).into_iter().skip(1).map(|name| format!("{name}{comma}{again}"));
         let mut names = names.chain([again.clone()]);
         names.find(|name| label(name, size).width() < area.width + GAP).unwrap_or(again)
     } else {
@@ -94,12 +109,13 @@ fn error_frame_end(bit_rate: BitRate, attempt: &Attempt, next: Option<VirtualIns
 }
 
 /// Names of a frame, the longest first.
-fn names(cluster: &Cluster, attempt: &Attempt) -> Vec<String> {
+fn names(cluster: &Cluster, ledger: &Ledger, attempt: &Attempt) -> Vec<String> {
     let Some(frame) = attempt.frame() else { return vec!["foreign".into()] };
-    match cluster.channel(frame.id.etag()) {
+    match cluster.channel_of(frame.id.etag(), frame.id.tx_node()) {
         Some(channel) => {
-            let sequence = sequence_of(&frame).map_or(String::new(), |sequence| format!(" {sequence}"));
-            vec![format!("{}{sequence}", channel.name), channel.name.into(), initials(channel.name)]
+            let event = attempt.load.and_then(|load| ledger.event_of(load));
+            let number = event.map_or(String::new(), |event| format!(" {event}"));
+            vec![format!("{}{number}", channel.name), channel.name.into(), initials(channel.name)]
         }
         None if frame.id.etag().is_reserved() => vec!["clock sync".into(), "sync".into()],
         None => vec!["load".into()],
@@ -107,7 +123,7 @@ fn names(cluster: &Cluster, attempt: &Attempt) -> Vec<String> {
 }
 
 pub(super) fn initials(name: &str) -> String {
-    name.split(' ').filter_map(|word| word.chars().next()).collect::<String>().to_uppercase()
+    name.split([' ', '_', '-']).filter_map(|word| word.chars().next()).collect::<String>().to_uppercase()
 }
 
 fn fitting(names: &[String], width: f64, size: f64) -> Option<String> {
@@ -115,9 +131,9 @@ fn fitting(names: &[String], width: f64, size: f64) -> Option<String> {
 }
 
 /// All about a frame, for who points at it.
-fn describe(cluster: &Cluster, attempt: &Attempt) -> String {
+fn describe(cluster: &Cluster, ledger: &Ledger, attempt: &Attempt) -> String {
     let ms = |at: VirtualInstant| at.as_ticks() as f64 / 1e6;
-    let what = names(cluster, attempt).into_iter().next().unwrap_or_default();
+    let what = names(cluster, ledger, attempt).into_iter().next().unwrap_or_default();
     let frame = attempt.frame();
     let priority = frame.map_or(String::new(), |frame| format!(", priority {}", frame.id.priority().get()));
     let sender = frame.map_or("", |frame| cluster.node(frame.id.tx_node()).map_or("", |node| node.name));

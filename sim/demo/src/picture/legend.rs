@@ -6,7 +6,7 @@ use super::LEFT;
 use super::canvas::{Area, Label, cross};
 use super::frames::initials;
 use super::palette::{ERROR, HATCH, Look, MARK, WINDOW};
-use crate::example::Cluster;
+use crate::cluster::Cluster;
 
 /// The height of the legend.
 pub(super) const HEIGHT: f64 = 84.0;

@@ -15,6 +15,7 @@ mod palette;
 use cosmic_bus::VirtualInstant;
 use svg::Document;
 
+use crate::columns::counted;
 use crate::hard::{Fate, Occurrence};
 use crate::journal::Journal;
 use crate::report::Settings;
@@ -100,7 +101,8 @@ fn subtitle(settings: &Settings, journal: &Journal) -> String {
 }
 
 fn caption(journal: &Journal, occurrence: &Occurrence) -> String {
-    let name = journal.cluster.channel(occurrence.slot.etag).map_or("a channel", |channel| channel.name);
+    let name = (journal.cluster.channel_of(occurrence.slot.etag, occurrence.slot.publisher))
+        .map_or("a channel", |channel| channel.name);
     let faults = match occurrence.faulted {
         0 => "no attempt was destroyed".to_owned(),
         1 => "one attempt was destroyed".to_owned(),
@@ -120,8 +122,8 @@ fn caption(journal: &Journal, occurrence: &Occurrence) -> String {
         outcome
     };
     format!(
-        "The slot of \"{name}\" (hard real-time, tolerates {} omission): {faults}, {outcome}",
-        occurrence.slot.omission_degree
+        "The slot of \"{name}\" (hard real-time, tolerates {}): {faults}, {outcome}",
+        counted(u32::from(occurrence.slot.omission_degree), "omission")
     )
 }
 

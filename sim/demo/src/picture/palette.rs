@@ -4,7 +4,7 @@ use cosmic_bus::TrafficClass;
 use cosmic_core::can::Etag;
 
 use crate::bus_log::Attempt;
-use crate::example::Cluster;
+use crate::cluster::Cluster;
 
 /// A fill and the colour of the text on it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

@@ -20,7 +20,7 @@ use cosmic_demo::clock::NodeClock;
 use cosmic_demo::example::{self, EXAMPLE, Promise};
 use cosmic_demo::journal::Journal;
 use cosmic_demo::load::BackgroundLog;
-use cosmic_demo::record::{Record, RecordKind};
+use cosmic_demo::record::{Digest, Queue, Record, RecordKind};
 
 type Content = [u8; 8];
 type Records = Rc<RefCell<Vec<(TxNode, Record)>>>;
@@ -36,7 +36,8 @@ struct Node {
 
 impl Node {
     fn write(&self, etag: Option<Etag>, at: Instant, kind: RecordKind) {
-        self.records.borrow_mut().push((self.me, Record { etag, at, kind }));
+        let channel = etag.and_then(|etag| EXAMPLE.channel(etag)).map(|channel| channel.number);
+        self.records.borrow_mut().push((self.me, Record { channel, at, kind }));
     }
 }
 
@@ -47,6 +48,8 @@ impl Application<ClockService> for Node {
             if channel.subscribers.contains(&self.me) {
                 let subscription = node.subscribe(&declared(channel), Filter::ALL, fifo).unwrap();
                 self.subscriptions.push((channel.etag, subscription));
+                let kind = RecordKind::Subscribed { queue: Queue::Fifo(16), filtered: false };
+                self.write(Some(channel.etag), node.now, kind);
             }
         }
         for (etag, period) in &self.publishes {
@@ -62,18 +65,12 @@ impl Application<ClockService> for Node {
             if *next > node.now {
                 continue;
             }
-            let mut content = [0xA5; 8];
-            content[..4].copy_from_slice(&sequence.to_be_bytes());
+            let content = content(*sequence);
             let taken = node.publish(publication, &Event::new(content)).is_ok();
-            let sequence_now = *sequence;
-            written.push((
-                *etag,
-                if taken {
-                    RecordKind::Published { sequence: sequence_now }
-                } else {
-                    RecordKind::Refused { sequence: sequence_now }
-                },
-            ));
+            let digest = Digest::of(&content);
+            let published = RecordKind::Published { len: 8, digest };
+            let refused = RecordKind::Refused { digest, queue_full: true };
+            written.push((*etag, if taken { published } else { refused }));
             *sequence += 1;
             *next = *next + *period;
         }
@@ -84,9 +81,9 @@ impl Application<ClockService> for Node {
     fn notified(&mut self, node: &mut Access<'_, ClockService>) {
         for (etag, subscription) in &self.subscriptions {
             while let Some(event) = node.next(subscription) {
-                let sequence = u32::from_be_bytes(*event.content.first_chunk().unwrap());
+                let digest = Digest::of(&event.content);
                 let (publisher, visible_at) = (event.publisher, event.received_at);
-                let kind = RecordKind::Delivered { sequence, publisher, visible_at };
+                let kind = RecordKind::Delivered { digest, publisher, visible_at };
                 self.write(Some(*etag), node.now, kind);
             }
         }
@@ -95,6 +92,13 @@ impl Application<ClockService> for Node {
             self.write(etag, exception.at, RecordKind::Exception(exception.kind));
         }
     }
+}
+
+/// The content of the event with this number.
+pub(crate) fn content(number: u32) -> Content {
+    let mut content = [0xA5; 8];
+    content[..4].copy_from_slice(&number.to_be_bytes());
+    content
 }
 
 fn declared(channel: &example::Channel) -> Channel<Content> {
@@ -112,7 +116,7 @@ fn declared(channel: &example::Channel) -> Channel<Content> {
         Promise::Soft { deadline, validity } => {
             Channel::soft(subject, SoftAttributes { deadline, validity }).with_etag(channel.etag)
         }
-        Promise::NonRealTime => {
+        Promise::NonRealTime { .. } => {
             let attributes = NonRealTimeAttributes { importance: Importance::LEAST, validity: None };
             Channel::non_real_time(subject, attributes).with_etag(channel.etag)
         }
