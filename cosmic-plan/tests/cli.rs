@@ -52,10 +52,10 @@ fn the_example_passes_and_everything_is_written() {
     let out = folder.join("out").display().to_string();
     let build = run(&["build", &cluster, "--out", &out, "--json"]);
     assert!(build.status.success());
-    assert_eq!(json(&build)["files"].as_array().map(Vec::len), Some(5));
+    assert_eq!(json(&build)["files"].as_array().map(Vec::len), Some(10));
     let read = |name: &str| std::fs::read_to_string(folder.join("out").join(name)).expect("it was written");
     assert!(read("timeline.svg").contains("</svg>"));
-    assert!(read("segment.dbc").starts_with("VERSION"));
+    assert!(read("vehicle.dbc").starts_with("VERSION"));
     let digest = json(&build)["calendar"]["digest"].as_str().expect("it has one").to_owned();
     assert!(read("calendar.rs").contains(&format!("DIGEST: u32 = 0x{digest}")));
     // The same again, to the byte: the firmware's digest depends on it.

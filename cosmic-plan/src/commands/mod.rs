@@ -3,6 +3,7 @@
 mod analyse;
 mod build;
 mod compare;
+mod export;
 mod report;
 mod support;
 
@@ -37,8 +38,8 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Writes what the firmware and other tools need: calendar.rs, report.json, report.txt, timeline.svg
-    /// and segment.dbc.
+    /// Writes what the firmware and other tools need: calendar.rs, report.json, report.txt, timeline.svg, and all that
+    /// `export` writes.
     Build {
         /// The cluster file.
         file: PathBuf,
@@ -64,6 +65,18 @@ enum Command {
         /// The file to write.
         #[arg(long, default_value = "timeline.svg")]
         out: PathBuf,
+    },
+    /// Writes what other tools and languages need: a DBC file, a C header, a Python module, a dissector for Wireshark,
+    /// and a page of HTML.
+    Export {
+        /// The cluster file.
+        file: PathBuf,
+        /// Only this.
+        #[arg(long, value_enum)]
+        format: Option<export::Format>,
+        /// The folder to write into; with --format, the file.
+        #[arg(long)]
+        out: Option<PathBuf>,
     },
     /// Says why a channel's slot stands where it stands, and which terms make up its bound.
     Explain {
@@ -130,6 +143,7 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
         Command::Build { file, out, json } => build::build(&file, &out, json),
         Command::Report { file, json } => report::report(&file, json),
         Command::Render { file, out } => build::render(&file, &out),
+        Command::Export { file, format, out } => export::export(&file, format, out.as_deref()),
         Command::Explain { file, channel, json } => compare::explain(&file, &channel, json),
         Command::Diff { before, after, json } => compare::diff(&before, &after, json),
         Command::Analyse { file, json } => analyse::run(&file, json),

@@ -138,10 +138,10 @@ pub(super) fn with_progress<T>(run: impl FnOnce(&dyn Fn(&str)) -> T) -> T {
 }
 
 /// Writes a file, whole or not at all.
-pub(super) fn write(path: &Path, text: &str) -> Result<(), Failure> {
+pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     let whole = || {
         let partial = path.with_extension("partial");
-        std::fs::write(&partial, text)?;
+        std::fs::write(&partial, bytes)?;
         std::fs::rename(&partial, path)
     };
     whole().map_err(|error: std::io::Error| {

@@ -1,6 +1,8 @@
 //! Contents in the file: what they may say, and that all that is generated from them does the same with bytes.
 
+mod exported;
 mod generated_rust;
+mod tools;
 mod zoo;
 
 use cosmic_core::can::Etag;

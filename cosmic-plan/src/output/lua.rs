@@ -1,0 +1,347 @@
+//! The segment as a dissector for Wireshark, in Lua: named fields for every control message and every content.
+//!
+//! Frames of CAN carry no mark of their protocol. So the dissector offers itself for every extended data frame, and
+//! takes those whose etag is one of the protocol's or of the segment's channels; the priority and the sender may be
+//! any. Where a broker gives the etags, it learns them from the broker's frames.
+
+use super::control::{CONTROL, ControlField, Shown};
+use crate::cluster::Cluster;
+use crate::contents::{ByteOrder, FieldLayout, FieldType, Layout};
+use cosmic_core::can::Payload;
+use std::fmt::Write as _;
+
+/// The text of the script.
+pub fn render(cluster: &Cluster, source_name: &str) -> String {
+    let mut out = String::new();
+    // Writing into a string does not fail.
+    let _ = write_all(&mut out, cluster, source_name);
+    out
+}
+
+fn write_all(out: &mut String, cluster: &Cluster, source_name: &str) -> std::fmt::Result {
+    writeln!(
+        out,
+        "-- Frames of the COSMIC segment {}, for Wireshark and tshark (-X lua_script:FILE).",
+        cluster.name
+    )?;
+    writeln!(
+        out,
+        "-- Made by cosmic-plan of {}. Change that file, not this one.",
+        source_name.replace(['\n', '\r'], " ")
+    )?;
+    out.push_str(HEAD);
+    writeln!(out, "local nodes = {{")?;
+    for node in &cluster.nodes {
+        writeln!(out, "    [{}] = \"{}\",", node.tx_node.get(), node.name)?;
+    }
+    writeln!(out, "}}\n")?;
+    writeln!(out, "local control = {{}}")?;
+    for message in CONTROL {
+        writeln!(
+            out,
+            "control[{}] = {{ name = \"{}\", length = {}, fields = {{",
+            message.etag.get(),
+            message.name,
+            message.len
+        )?;
+        for field in message.fields {
+            write_control_field(out, message.name, field)?;
+        }
+        writeln!(out, "}} }}")?;
+    }
+    writeln!(out, "\nlocal contents = {{}}")?;
+    for layout in cluster.contents.iter().filter(|layout| layout.len <= Payload::MAX_LEN) {
+        writeln!(out, "contents.{0} = {{ length = {1}, fields = {{", key(&layout.name), layout.len)?;
+        for field in &layout.fields {
+            for position in 0..field.values() {
+                write_field(out, layout, field, position)?;
+            }
+        }
+        writeln!(out, "}} }}")?;
+    }
+    writeln!(out, "\nlocal channels = {{")?;
+    for channel in &cluster.channels {
+        let content = match cluster.layout_of(channel).filter(|layout| layout.len <= Payload::MAX_LEN) {
+            Some(layout) => format!("contents.{}", key(&layout.name)),
+            None => "nil".to_owned(),
+        };
+        let etag = channel.etag.map_or("nil".to_owned(), |etag| etag.get().to_string());
+        let class = channel.class.abbreviation();
+        writeln!(
+            out,
+            "    {{ name = \"{}\", subject = \"{:016x}\", etag = {etag}, class = \"{class}\", length = {}, content = {content} }},",
+            channel.name, channel.subject, channel.length
+        )?;
+    }
+    writeln!(out, "}}\n")?;
+    out.push_str(TAIL);
+    Ok(())
+}
+
+fn write_control_field(out: &mut String, message: &str, field: &ControlField) -> std::fmt::Result {
+    let abbreviation = format!("cosmic.{message}.{}", field.name);
+    let (proto, unit) = match field.shown {
+        Shown::Hexadecimal if field.bits > 32 => {
+            (format!("ProtoField.uint64(\"{abbreviation}\", \"{}\", base.HEX)", field.name), "")
+        }
+        Shown::Hexadecimal => {
+            (format!("ProtoField.uint32(\"{abbreviation}\", \"{}\", base.HEX)", field.name), "")
+        }
+        Shown::Decimal(unit) if field.bits > 32 => {
+            (format!("ProtoField.uint64(\"{abbreviation}\", \"{}\")", field.name), unit)
+        }
+        Shown::Decimal(unit) => (format!("ProtoField.uint32(\"{abbreviation}\", \"{}\")", field.name), unit),
+        Shown::Names(names) => {
+            let names: Vec<String> =
+                names.iter().map(|(value, name)| format!("[{value}] = \"{name}\"")).collect();
+            (
+                format!(
+                    "ProtoField.uint32(\"{abbreviation}\", \"{}\", base.DEC, {{ {} }})",
+                    field.name,
+                    names.join(", ")
+                ),
+                "",
+            )
+        }
+    };
+    writeln!(
+        out,
+        "    {{ proto = {proto}, at = {}, width = {}, kind = \"unsigned\", unit = \"{unit}\" }},",
+        field.at, field.bits
+    )
+}
+
+fn write_field(out: &mut String, layout: &Layout, field: &FieldLayout, position: usize) -> std::fmt::Result {
+    let name = field.count.map_or(field.name.clone(), |_| format!("{}_{position}", field.name));
+    let abbreviation = format!("cosmic.{}.{name}", layout.name);
+    let wide = field.kind.bits() > 32;
+    let (proto, kind) = match field.kind {
+        FieldType::Bool | FieldType::Bit => ("bool", "boolean"),
+        FieldType::Single => ("float", "single"),
+        FieldType::Double => ("double", "double"),
+        _ if field.scaling.is_some() => ("double", "scaled"),
+        FieldType::Unsigned(_) => (if wide { "uint64" } else { "uint32" }, "unsigned"),
+        FieldType::Signed(_) => (if wide { "int64" } else { "int32" }, "signed"),
+    };
+    let labels = if field.labels.is_empty() || wide {
+        String::new()
+    } else {
+        let labels: Vec<String> =
+            field.labels.iter().map(|label| format!("[{}] = \"{}\"", label.raw, label.name)).collect();
+        format!(", base.DEC, {{ {} }}", labels.join(", "))
+    };
+    let little = if layout.order == ByteOrder::Little { ", little = true" } else { "" };
+    let signed = if matches!(field.kind, FieldType::Signed(_)) { ", signed = true" } else { "" };
+    write!(
+        out,
+        "    {{ proto = ProtoField.{proto}(\"{abbreviation}\", \"{name}\"{labels}), at = {}, width = {}, kind = \"{kind}\"{signed}{little}, unit = {}",
+        field.bit_of(position),
+        field.kind.bits(),
+        text(field.unit.as_deref().unwrap_or(""))
+    )?;
+    if let Some(scaling) = field.scaling {
+        write!(
+            out,
+            ", factor = {}, offset = {}, divisor = {}",
+            scaling.factor,
+            scaling.offset,
+            10_i128.pow(scaling.exponent)
+        )?;
+    }
+    if field.kind == FieldType::Bool {
+        write!(out, ", least = 0, greatest = 1")?;
+    } else if let (Some((least, greatest)), true) = (field.range, field.kind.is_float()) {
+        write!(out, ", least = {:?}, greatest = {:?}", least.as_f64(), greatest.as_f64())?;
+    } else if field.has_raw_range() {
+        write!(out, ", least = {}, greatest = {}", field.raw_range.0, field.raw_range.1)?;
+    }
+    if !field.labels.is_empty() {
+        let names: Vec<String> = field.labels.iter().map(|label| format!("[{}] = true", label.raw)).collect();
+        write!(out, ", named = {{ {} }}", names.join(", "))?;
+    }
+    writeln!(out, " }},")
+}
+
+/// A name that is no word of Lua.
+fn key(name: &str) -> String {
+    const WORDS: [&str; 10] =
+        ["and", "elseif", "end", "function", "goto", "local", "nil", "not", "or", "repeat"];
+    const MORE: [&str; 2] = ["then", "until"];
+    if WORDS.contains(&name) || MORE.contains(&name) { format!("{name}_") } else { name.to_owned() }
+}
+
+/// As Lua writes text.
+fn text(text: &str) -> String {
+    format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\"").replace(['\n', '\r'], " "))
+}
+
+const HEAD: &str = r#"
+local cosmic = Proto("cosmic", "COSMIC")
+local f = {
+    priority = ProtoField.uint8("cosmic.priority", "Priority"),
+    tx_node = ProtoField.uint8("cosmic.tx_node", "TxNode"),
+    publisher = ProtoField.string("cosmic.publisher", "Sender"),
+    etag = ProtoField.uint16("cosmic.etag", "Etag"),
+    message = ProtoField.string("cosmic.message", "Message"),
+    channel = ProtoField.string("cosmic.channel", "Channel"),
+    class = ProtoField.string("cosmic.class", "Class"),
+    subject = ProtoField.string("cosmic.subject", "Subject"),
+    stage = ProtoField.uint8("cosmic.configuration_request.stage", "stage"),
+    nibble = ProtoField.uint8("cosmic.configuration_request.nibble", "part of the UID", base.HEX),
+    data = ProtoField.bytes("cosmic.data", "Data"),
+}
+local malformed = ProtoExpert.new("cosmic.malformed", "Not as described", expert.group.MALFORMED, expert.severity.WARN)
+cosmic.experts = { malformed }
+
+local can_id = Field.new("can.id")
+local can_extended = Field.new("can.flags.xtd")
+local can_remote = Field.new("can.flags.rtr")
+
+"#;
+
+const TAIL: &str = r#"-- What Wireshark is to know of the fields.
+local all = {}
+for _, field in pairs(f) do all[#all + 1] = field end
+for _, described in ipairs({ control, contents }) do
+    for _, message in pairs(described) do
+        for _, field in ipairs(message.fields) do all[#all + 1] = field.proto end
+    end
+end
+cosmic.fields = all
+
+local by_subject, by_etag, halves = {}, {}, {}
+for _, channel in ipairs(channels) do by_subject[channel.subject] = channel end
+
+function cosmic.init()
+    by_etag, halves = {}, {}
+    for _, channel in ipairs(channels) do
+        if channel.etag then by_etag[channel.etag] = channel end
+    end
+end
+
+-- The frames of the broker say which etag a subject has.
+local function learn(buffer)
+    if buffer:len() ~= 8 then return end
+    local answer, etag = buffer(1, 1):uint(), buffer(2, 2):uint()
+    local half = tostring(buffer(4, 4):bytes()):lower()
+    if answer == 0 or answer == 4 then
+        halves[etag] = half
+    elseif (answer == 1 or answer == 5) and halves[etag] then
+        local channel = by_subject[halves[etag] .. half]
+        if channel and not channel.etag then by_etag[etag] = channel end
+        halves[etag] = nil
+    end
+end
+
+-- The bits of a field, as UInt64.
+local function bits_of(buffer, field)
+    local first = math.floor(field.at / 8)
+    local last = math.floor((field.at + field.width - 1) / 8)
+    local range = buffer(first, last - first + 1)
+    local shift
+    local number
+    if field.little then
+        number, shift = range:le_uint64(), field.at - 8 * first
+    else
+        number, shift = range:uint64(), 8 * (last + 1) - field.at - field.width
+    end
+    number = number:rshift(shift)
+    if field.width < 64 then number = number:lshift(64 - field.width):rshift(64 - field.width) end
+    return number, range
+end
+
+local function as_number(bits, field)
+    local number = bits:tonumber()
+    if field.signed and number >= 2 ^ (field.width - 1) then number = number - 2 ^ field.width end
+    return number
+end
+
+local function value_of(bits, range, field)
+    if field.kind == "boolean" then return bits:tonumber() ~= 0 end
+    if field.kind == "single" or field.kind == "double" then
+        -- By way of the bytes: the field may stand anywhere.
+        local hex = bits:tohex()
+        local tvb = ByteArray.new(hex:sub(17 - field.width / 4)):tvb("value")
+        return tvb(0):float()
+    end
+    if field.kind == "scaled" then
+        return (as_number(bits, field) * field.factor + field.offset) / field.divisor
+    end
+    if field.width <= 32 then return as_number(bits, field) end
+    if not field.signed then return bits end
+    local spare = 64 - field.width
+    local wide = bits:lshift(spare)
+    return Int64.new(wide:lower(), wide:higher()):arshift(spare)
+end
+
+local function add_fields(buffer, tree, fields, summary)
+    for _, field in ipairs(fields) do
+        local bits, range = bits_of(buffer, field)
+        local value = value_of(bits, range, field)
+        local item = tree:add(field.proto, range, value)
+        if field.unit ~= "" then item:append_text(" " .. field.unit) end
+        local number = (field.kind == "single" or field.kind == "double") and value or as_number(bits, field)
+        local inside = not field.least or (number >= field.least and number <= field.greatest)
+        if not inside then item:add_proto_expert_info(malformed, "outside the range that is described") end
+        if field.named and not field.named[number] then
+            item:add_proto_expert_info(malformed, "a value without a name")
+        end
+        if summary then summary[#summary + 1] = item.text end
+    end
+end
+
+local function dissect(buffer, pinfo, tree)
+    local id, extended, remote = can_id(), can_extended(), can_remote()
+    if not id or not extended or not extended.value or (remote and remote.value) then return false end
+    -- Lua 5.2 of Wireshark has bit32; later ones have operators that earlier ones do not parse.
+    local number = id.value % 2 ^ 29
+    local etag = number % 2 ^ 14
+    local tx_node = math.floor(number / 2 ^ 14) % 2 ^ 7
+    local priority = math.floor(number / 2 ^ 21)
+    local message, channel = control[etag], by_etag[etag]
+    if etag == 4 and not pinfo.visited then learn(buffer) end
+    if not message and not channel then return false end
+
+    local length = buffer:len()
+    pinfo.cols.protocol = "COSMIC"
+    local top = tree:add(cosmic, buffer())
+    top:add(f.priority, priority):set_generated()
+    top:add(f.tx_node, tx_node):set_generated()
+    top:add(f.publisher, tx_node == 127 and "broker" or nodes[tx_node] or ("TxNode " .. tx_node)):set_generated()
+    top:add(f.etag, etag):set_generated()
+    local summary = {}
+    if message then
+        top:add(f.message, message.name):set_generated()
+        top:append_text(", " .. message.name)
+        pinfo.cols.info = message.name
+        if etag == 1 then
+            -- Stage and nibble stand where other frames have the end of the priority and the sender.
+            top:add(f.stage, math.floor(number / 2 ^ 18) % 16):set_generated()
+            top:add(f.nibble, math.floor(number / 2 ^ 14) % 16):set_generated()
+        end
+        if length == message.length then
+            if length > 0 then add_fields(buffer, top, message.fields, summary) end
+        else
+            top:add_proto_expert_info(malformed, length .. " bytes instead of " .. message.length)
+        end
+    else
+        top:add(f.channel, channel.name):set_generated()
+        top:add(f.class, channel.class):set_generated()
+        top:add(f.subject, channel.subject):set_generated()
+        top:append_text(", " .. channel.name)
+        pinfo.cols.info = channel.name
+        if not channel.content then
+            if length > 0 then top:add(f.data, buffer()) end
+        elseif length == channel.content.length then
+            add_fields(buffer, top, channel.content.fields, summary)
+        else
+            top:add(f.data, buffer())
+            top:add_proto_expert_info(malformed, length .. " bytes instead of " .. channel.content.length)
+        end
+    end
+    if #summary > 0 then pinfo.cols.info:append(": " .. table.concat(summary, ", ")) end
+    return true
+end
+
+cosmic:register_heuristic("can", dissect)
+"#;
