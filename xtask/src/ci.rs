@@ -21,6 +21,7 @@ use crate::size;
 use crate::suite;
 use crate::tally::Tally;
 use crate::target::TargetWay;
+use crate::tools;
 use crate::workspace::Workspace;
 
 /// Carries out all steps, also after one has failed. The last line is `N passed, N failed`: tests of all
@@ -34,6 +35,7 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
     tally.add(suite::host(workspace));
     tally.add(linux::check(workspace));
     tally.add(linux::test(workspace));
+    tally.add(tools::test(workspace));
     tally.add(fuzz::smoke(workspace));
     tally.add(no_warnings(workspace, &way));
     tally.add(sizes(workspace, &way));

@@ -22,6 +22,7 @@ mod size;
 mod suite;
 mod tally;
 mod target;
+mod tools;
 mod workspace;
 
 use std::process::ExitCode;
@@ -41,7 +42,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Task {
-    /// Find or install the compiler's Cortex-M target, QEMU, cmake and libclang.
+    /// Find or install the compiler's Cortex-M target, QEMU, cmake, libclang, Wireshark and cantools.
     Setup,
     /// Build the firmware images and print their sizes.
     Build(build::Options),
@@ -78,6 +79,7 @@ fn perform(task: Task, workspace: &Workspace) -> anyhow::Result<ExitCode> {
     match task {
         Task::Setup => {
             let way = setup::prepare(&setup::EVERYTHING)?;
+            tools::prepare(workspace)?;
             println!("All there. The Cortex-M target comes from {way}.");
         }
         Task::Build(options) => build::task(workspace, &options)?,

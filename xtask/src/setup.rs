@@ -27,14 +27,18 @@ pub(crate) enum Tool {
     Compiler,
     /// Reads its header files.
     Libclang,
+    /// Shows frames by the dissector that `cosmic-plan export` writes.
+    Tshark,
+    /// Runs the modules that it writes, and cantools.
+    Python,
 }
 
 /// What the tests of the emulated cluster are built with. The cluster itself needs none of it.
 pub(crate) const COMPARISON: [Tool; 4] = [Tool::Cmake, Tool::Make, Tool::Compiler, Tool::Libclang];
 
 /// All tools.
-pub(crate) const EVERYTHING: [Tool; 5] =
-    [Tool::Qemu, Tool::Cmake, Tool::Make, Tool::Compiler, Tool::Libclang];
+pub(crate) const EVERYTHING: [Tool; 7] =
+    [Tool::Qemu, Tool::Cmake, Tool::Make, Tool::Compiler, Tool::Libclang, Tool::Tshark, Tool::Python];
 
 /// Finds or installs the target and the tools, and says how to compile for the target.
 ///
@@ -113,6 +117,8 @@ impl Tool {
             Self::Make => "make",
             Self::Compiler => "g++",
             Self::Libclang => "libclang-dev",
+            Self::Tshark => "tshark",
+            Self::Python => "python3-venv",
         }
     }
 
@@ -122,6 +128,8 @@ impl Tool {
             Self::Cmake => target::find_program("cmake").is_some(),
             Self::Make => target::find_program("make").is_some(),
             Self::Compiler => target::find_program("c++").is_some(),
+            Self::Tshark => target::find_program("tshark").is_some(),
+            Self::Python => has_venv(),
             Self::Libclang => env::var_os("LIBCLANG_PATH").is_some() || has_libclang(&library_directories()),
         }
     }
@@ -135,8 +143,16 @@ impl fmt::Display for Tool {
             Self::Make => "make",
             Self::Compiler => "a C and C++ compiler",
             Self::Libclang => "libclang",
+            Self::Tshark => "tshark",
+            Self::Python => "Python with its module venv",
         })
     }
+}
+
+/// Returns whether there is a Python that can make a place for packages of its own.
+fn has_venv() -> bool {
+    let output = Command::new("python3").args(["-c", "import ensurepip, venv"]).output();
+    output.is_ok_and(|output| output.status.success())
 }
 
 /// Where libclang may stand: each LLVM of Debian's has a directory of its own.

@@ -20,6 +20,7 @@ use crate::run::{self, step};
 use crate::setup::{self, Tool};
 use crate::tally::Tally;
 use crate::target::{TRIPLE, TargetWay};
+use crate::tools;
 use crate::workspace::Workspace;
 
 /// Which tests to run.
@@ -37,6 +38,8 @@ enum Part {
     Host,
     /// The node on Linux and the gateway.
     Linux,
+    /// What the planner exports, with a C compiler, Python, cantools and Wireshark.
+    Tools,
     /// The fuzz targets of the core, for a moment each.
     Fuzz,
     /// The firmware in the emulated cluster.
@@ -56,6 +59,9 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
     }
     if parts.contains(&Part::Linux) {
         tally.add(linux::test(workspace));
+    }
+    if parts.contains(&Part::Tools) {
+        tally.add(tools::test(workspace));
     }
     if parts.contains(&Part::Fuzz) {
         tally.add(fuzz::smoke(workspace));

@@ -1,0 +1,48 @@
+//! Tries what `cosmic-plan export` writes with programs of others: a C compiler, Python with cantools, Wireshark.
+
+use std::process::Command;
+
+use anyhow::{Context as _, Result};
+
+use crate::run::{self, step};
+use crate::setup::{self, Tool};
+use crate::suite;
+use crate::tally::Tally;
+use crate::workspace::Workspace;
+
+/// Installs the programs where it may, and runs the tests of all that is generated from contents. A program that is
+/// missing is then a failure; `cargo test` alone says that it did not try it.
+pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
+    prepare(workspace)?;
+    let mut command = workspace.cargo();
+    command.args(["test", "--package", "cosmic-plan", "--test", "contents"]).env(INSIST, "1");
+    step("trying what is exported with the programs of others", || suite::cargo_test(&mut command))
+}
+
+/// Finds or installs the programs.
+///
+/// # Errors
+/// What is missing and cannot be installed here, and what to type.
+pub(crate) fn prepare(workspace: &Workspace) -> Result<()> {
+    setup::install_tools(&[Tool::Compiler, Tool::Tshark, Tool::Python])?;
+    let folder = workspace.target_dir().join("tools");
+    let python = folder.join("bin/python");
+    let is_there = |program| {
+        let output = Command::new(program).args(["-c", "import cantools, can"]).output();
+        output.is_ok_and(|output| output.status.success())
+    };
+    if is_there(&python) {
+        return Ok(());
+    }
+    step("installing cantools", || {
+        run::run(Command::new("python3").args(["-m", "venv"]).arg(&folder))?;
+        run::run(Command::new(&python).args(["-m", "pip", "install", "--quiet"]).args(PACKAGES))
+    })
+    .with_context(|| format!("type `{} -m pip install {}`", python.display(), PACKAGES.join(" ")))
+}
+
+/// Tells the tests to insist on the programs.
+const INSIST: &str = "COSMIC_TOOLS";
+
+/// Python's packages.
+const PACKAGES: [&str; 2] = ["cantools==45.1.0", "python-can==4.6.1"];
