@@ -140,6 +140,17 @@ impl Cluster {
         self.nodes[node.0].0.longest_masked()
     }
 
+    /// From now on, say when the handlers of a node begin and end to run ([`ObservationKind::Handler`]). They are the
+    /// tasks of an RTIC application.
+    pub fn watch_handlers(&mut self, node: NodeId) {
+        self.nodes[node.0].0.watch_handlers();
+    }
+
+    /// The name of the function that handles an exception in the firmware of a node.
+    pub fn handler(&self, node: NodeId, exception: u16) -> Option<String> {
+        self.nodes[node.0].0.handler(exception)
+    }
+
     /// Cuts the power of a node at the present instant.
     pub fn power_off(&mut self, node: NodeId) {
         let at = self.bus.now();

@@ -99,6 +99,8 @@ pub(crate) struct Node {
     log: LogDecoder,
     drained_at: VirtualInstant,
     seen: Vec<(VirtualInstant, ObservationKind)>,
+    /// Whether it is noted when handlers run.
+    watches_handlers: bool,
 }
 
 impl Node {
@@ -112,7 +114,20 @@ impl Node {
         let rtt = image.rtt.map(Rtt::new);
         let log = LogDecoder::default();
         let (state, event) = (State::Running, false);
-        Ok(Self { config, image, cpu, pace, system, state, event, rtt, log, drained_at: start, seen: vec![] })
+        Ok(Self {
+            config,
+            image,
+            cpu,
+            pace,
+            system,
+            state,
+            event,
+            rtt,
+            log,
+            drained_at: start,
+            seen: Vec::new(),
+            watches_handlers: false,
+        })
     }
 
     /// Switches the node off and on again: RAM and peripherals are as new, probes stay.
@@ -151,6 +166,17 @@ impl Node {
             .collect();
         all.sort_by_key(|masked| std::cmp::Reverse(masked.cycles));
         all
+    }
+
+    pub(crate) fn watch_handlers(&mut self) {
+        self.watches_handlers = true;
+    }
+
+    /// The name of the function that handles an exception, by the vector table of the image.
+    pub(crate) fn handler(&self, exception: u16) -> Option<String> {
+        let at = 4 * usize::from(exception);
+        let vector = self.image.flash.get(at..at + 4)?.first_chunk()?;
+        self.image.symbol(u32::from_le_bytes(*vector))
     }
 
     pub(crate) fn is_stopped(&self) -> bool {
@@ -278,14 +304,27 @@ impl Node {
                 exception::enter(self.cpu.as_mut(), exception, handler, exc_return);
                 self.event = true;
                 self.state = State::Running;
+                self.note_handler(exception, true);
             }
             _ => self.stop(StopReason::NoHandler(exception)),
         }
     }
 
+    fn note_handler(&mut self, exception: u16, begins: bool) {
+        if self.watches_handlers {
+            let system = self.system.borrow();
+            let kind =
+                ObservationKind::Handler { exception, priority: system.nvic.priority(exception), begins };
+            self.seen.push((system.now(), kind));
+        }
+    }
+
     fn return_from_exception(&mut self, exc_return: u32) {
-        let mut system = self.system.borrow_mut();
+        let system = self.system.borrow_mut();
         let exception = system.nvic.current();
+        drop(system);
+        self.note_handler(exception, false);
+        let mut system = self.system.borrow_mut();
         system.nvic.deactivate(exception);
         let leaves_handlers = system.nvic.current() == 0;
         let sleeps = leaves_handlers && system.control.sleeps_on_exit();

@@ -98,6 +98,15 @@ pub enum ObservationKind {
         /// Instructions that the node had executed before.
         instructions: u64,
     },
+    /// A handler of a watched node began or ended to run; in between others may have pre-empted it.
+    Handler {
+        /// The number of its exception.
+        exception: u16,
+        /// Its priority, as NVIC has it: the smaller, the more urgent.
+        priority: u8,
+        /// Whether it began.
+        begins: bool,
+    },
     /// The firmware accessed a register that is not modelled, or a setting that is not. The access read 0,
     /// or had no effect. Reported once for each place in the program.
     NotModelled {
@@ -160,6 +169,9 @@ impl core::fmt::Display for ObservationKind {
             Self::Log(line) => line.fmt(f),
             Self::Record { channel, bytes } => write!(f, "{channel}: {bytes:02X?}"),
             Self::Reached { place, .. } => write!(f, "reached {place}"),
+            Self::Handler { exception, begins, .. } => {
+                write!(f, "handler of exception {exception} {}", if *begins { "begins" } else { "ends" })
+            }
             Self::NotModelled { access, address, place } => {
                 write!(f, "{access} of {address:#010x} at {place} is not modelled by the emulator")
             }

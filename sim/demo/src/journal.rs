@@ -1,5 +1,7 @@
 //! What is left of a run when it is over: all that the judge, the tables and the picture are made of.
 
+use std::rc::Rc;
+
 use cosmic_bus::{Accounting, StationId, VirtualInstant};
 use cosmic_core::can::{BitRate, TxNode};
 
@@ -28,10 +30,29 @@ pub struct Journal {
     pub stations: Vec<(TxNode, StationId)>,
     /// What the background load has sent.
     pub background: BackgroundLog,
+    /// When the handlers of the nodes ran, if that was asked for.
+    pub handlers: Vec<HandlerRun>,
     /// Errors in the logs of the nodes, and what they did that the emulator does not know.
     pub errors: Vec<LoggedError>,
     /// When the run ended.
     pub end: VirtualInstant,
+}
+
+/// A handler of a node from its begin to its end; in between others may have pre-empted it.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct HandlerRun {
+    /// Which node.
+    pub node: TxNode,
+    /// Its name in the image.
+    pub name: Rc<str>,
+    /// The number of its exception.
+    pub exception: u16,
+    /// Its priority, as NVIC has it: the smaller, the more urgent.
+    pub priority: u8,
+    /// When it began.
+    pub from: VirtualInstant,
+    /// When it ended.
+    pub until: VirtualInstant,
 }
 
 /// A node says that something went wrong with itself.

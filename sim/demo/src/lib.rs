@@ -8,7 +8,7 @@
 //! | [`journal`], [`ledger`] | what is left of a run, and the life of each event |
 //! | [`run`], [`progress`] | the run itself, what it says meanwhile |
 //! | [`hard`], [`order`], [`sync`], [`verdict`], [`violation`] | the judgement: slots, order of deadlines, lost clocks, losses against exceptions |
-//! | [`report`], [`table`], [`picture`] | what is shown of it |
+//! | [`report`], [`table`], [`picture`], [`perfetto`] | what is shown of it |
 //!
 //! The judge trusts no node: windows follow from the calendar and the sync frames on the wire, instants from
 //! the records that the firmware writes into its RTT buffer, in its own local time.
@@ -18,11 +18,13 @@ pub mod clock;
 pub mod cluster;
 mod columns;
 pub mod example;
+mod handlers;
 pub mod hard;
 pub mod journal;
 pub mod ledger;
 pub mod load;
 pub mod order;
+pub mod perfetto;
 pub mod picture;
 pub mod progress;
 pub mod record;

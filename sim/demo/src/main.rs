@@ -13,6 +13,7 @@ use cosmic_commands::output::{self, Pending};
 use cosmic_core::time::Duration;
 use cosmic_demo::cluster::Cluster;
 use cosmic_demo::load::Share;
+use cosmic_demo::perfetto;
 use cosmic_demo::picture;
 use cosmic_demo::progress::Progress;
 use cosmic_demo::report::{Report, Settings};
@@ -45,6 +46,9 @@ fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
     let remedy = "name another file with --json";
     let mut json = options.json.as_ref().map(|path| Pending::create(path, remedy)).transpose()?;
 
+    let remedy = "name another file with --trace";
+    let mut trace = options.trace.as_ref().map(|path| Pending::create(path, remedy)).transpose()?;
+
     let mut progress = Progress::new(VirtualInstant::from_ticks(0) + length(options));
     let journal = run::run(&plan(options, cluster, images)?, &mut log, |now| progress.reached(now))?;
     eprintln!("demo: {}", progress.finish());
@@ -57,9 +61,15 @@ fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
         serde_json::to_writer_pretty(&mut *json, &report)?;
         writeln!(json)?;
     }
+    if let Some(trace) = &mut trace {
+        perfetto::write(&journal, &verdict, &mut *trace)?;
+    }
     let mut places = vec![("picture", image.finish()?), ("log of the bus", log.finish()?)];
     if let Some(json) = json {
         places.push(("report", json.finish()?));
+    }
+    if let Some(trace) = trace {
+        places.push(("trace for ui.perfetto.dev", trace.finish()?));
     }
     eprintln!(
         "demo: cluster {}, planned from {}, calendar {:08X}; images in {}",
@@ -83,6 +93,7 @@ fn plan(
     images: &Path,
 ) -> Result<Plan, Box<dyn core::error::Error>> {
     Ok(Plan {
+        handlers: options.trace.is_some(),
         cluster,
         images: images.into(),
         length: length(options),

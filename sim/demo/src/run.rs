@@ -18,6 +18,7 @@ use thiserror::Error;
 use crate::bus_log::BusLog;
 use crate::clock::NodeClock;
 use crate::cluster::Cluster as Judged;
+use crate::handlers::Handlers;
 use crate::hard;
 use crate::journal::{Journal, LoggedError};
 use crate::load::{Background, Share};
@@ -40,6 +41,8 @@ pub struct Plan {
     pub load: Share,
     /// The chance that a frame on the wire is destroyed.
     pub errors: Chance,
+    /// Whether to write down when the handlers of the nodes run.
+    pub handlers: bool,
     /// So many attempts are destroyed in a row in one hard real-time slot; 0 for none.
     pub burst: u32,
 }
@@ -115,6 +118,7 @@ struct Run<W> {
     records: Vec<(TxNode, Record)>,
     errors: Vec<LoggedError>,
     burst: Burst,
+    handlers: Handlers,
 }
 
 struct Observed {
@@ -149,6 +153,9 @@ impl<W: io::Write> Run<W> {
             config.start_at = VirtualInstant::from_ticks(0) + start;
             config.clock_error = ClockError::parts_per_million(drift).unwrap_or_default();
             let id = cluster.add_node(config)?;
+            if plan.handlers {
+                cluster.watch_handlers(id);
+            }
             let (name, tx_node, records) = (node.name, node.tx_node, Records::default());
             nodes.push(Observed { id, name, tx_node, records, first: None });
         }
@@ -169,6 +176,7 @@ impl<W: io::Write> Run<W> {
             records: Vec::new(),
             errors: Vec::new(),
             burst: Burst::Waiting,
+            handlers: Handlers::default(),
         })
     }
 
@@ -249,6 +257,10 @@ impl<W: io::Write> Run<W> {
                     let (node, at, what) = (node.name, seen.at, seen.kind.to_string());
                     return Err(RunError::Stopped { node, at, what });
                 }
+                ObservationKind::Handler { exception, priority, begins } => {
+                    let name = || self.cluster.handler(node.id, exception);
+                    self.handlers.take((node.tx_node, exception, priority), begins, seen.at, name);
+                }
                 ObservationKind::Log(line) if line.level == "ERROR" => {
                     self.errors.push(LoggedError { node: node.tx_node, at: seen.at, text: line.message });
                 }
@@ -286,6 +298,7 @@ impl<W: io::Write> Run<W> {
             clocks: self.clocks()?,
             stations: self.nodes.iter().map(|node| (node.tx_node, self.cluster.station(node.id))).collect(),
             background: self.background.borrow().log().clone(),
+            handlers: self.handlers.runs.clone(),
             errors: self.errors.clone(),
             end,
         })

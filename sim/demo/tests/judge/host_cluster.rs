@@ -181,6 +181,7 @@ impl Run {
             clocks,
             stations,
             background: BackgroundLog::default(),
+            handlers: Vec::new(),
             errors: Vec::new(),
             end: self.until,
         }
