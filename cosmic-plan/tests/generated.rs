@@ -62,7 +62,9 @@ fn plans_compile_and_their_channels_take_what_fits() {
     ];
     assert!(plans[3].1.contains("etag: None") && !plans[0].1.contains("etag: None"));
     let code = r"
-use cosmic_core::event_layer::Channel;
+use cosmic_core::event_layer::{Bytes, Channel};
+/// Longer than a frame.
+pub const DIARY: first::channels::diary::MessageChannel<Bytes<40>> = first::channels::diary::channel();
 /// Longer contents do not fit.
 pub const SPEED: Channel<u64> = vehicle::channels::wheel_speed::channel();
 /// Its etag comes from the broker.
@@ -86,6 +88,15 @@ fn a_calendar_that_was_changed_by_hand_does_not_compile() {
     assert_ne!(plan, edited);
     let said = check("edited", &[("plan", edited)], "").expect_err("it was changed");
     assert!(said.contains("not what was planned"), "{said}");
+}
+
+#[test]
+fn a_message_that_is_longer_than_planned_does_not_compile() {
+    let plan = [("plan", rendered(&tutorial("first.toml")))];
+    let code = "use plan::channels::diary;\n/// 41 bytes are one too many.\n\
+                pub const DIARY: diary::MessageChannel<[u8; 41]> = diary::channel();";
+    let said = check("longer_message", &plan, code).expect_err("it is too long");
+    assert!(said.contains("longer than the plan says of channel diary"), "{said}");
 }
 
 #[test]

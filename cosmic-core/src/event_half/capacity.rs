@@ -256,6 +256,15 @@ pub trait Half {
         each: impl FnMut(Message<'_>),
     );
 
+    /// As [`EventHalf::poll_message`].
+    fn poll_message<const PLACES: usize, const LEN: usize, R>(
+        &mut self,
+        subscriber: &mut MessageSubscriber<PLACES, LEN>,
+        now: Instant,
+        waker: &Waker,
+        take: impl FnOnce(Message<'_>) -> R,
+    ) -> Poll<R>;
+
     /// As [`EventHalf::take_exception`].
     fn take_exception(&mut self) -> Option<Exception>;
 
@@ -364,6 +373,16 @@ impl<
         each: impl FnMut(Message<'_>),
     ) {
         Self::receive_messages(self, subscriber, now, each)
+    }
+
+    fn poll_message<const PLACES: usize, const LEN: usize, R>(
+        &mut self,
+        subscriber: &mut MessageSubscriber<PLACES, LEN>,
+        now: Instant,
+        waker: &Waker,
+        take: impl FnOnce(Message<'_>) -> R,
+    ) -> Poll<R> {
+        Self::poll_message(self, subscriber, now, waker, take)
     }
 
     fn take_exception(&mut self) -> Option<Exception> {

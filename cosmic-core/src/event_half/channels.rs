@@ -251,6 +251,27 @@ impl<
         subscriber.drop_stale(now);
     }
 
+    /// Takes the frames that wait until they complete a message, and returns what `take` makes of it. If they
+    /// complete none, the next frame wakes the task.
+    pub fn poll_message<const PLACES: usize, const LEN: usize, R>(
+        &mut self,
+        subscriber: &mut MessageSubscriber<PLACES, LEN>,
+        now: Instant,
+        waker: &Waker,
+        take: impl FnOnce(Message<'_>) -> R,
+    ) -> Poll<R> {
+        if let Some(etag) = self.layer.etag_of(subscriber.subscription()) {
+            while let Some(fragment) = self.next(subscriber.subscription()) {
+                if let Some(message) = subscriber.take(etag, &fragment) {
+                    return Poll::Ready(take(message));
+                }
+            }
+            subscriber.drop_stale(now);
+        }
+        self.layer.set_waker(subscriber.subscription(), waker);
+        Poll::Pending
+    }
+
     /// Takes part in the slots of a hard real-time channel; nothing for the others.
     fn attach(&mut self, declared: &Declared, role: Role) -> Result<Option<BufferId>, AnnounceError> {
         let Attributes::Hard(attributes) = declared.attributes else { return Ok(None) };

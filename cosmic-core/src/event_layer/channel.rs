@@ -106,6 +106,11 @@ impl<C: Content> Channel<C> {
         Self { declared: Declared { layout, ..self.declared }, ..self }
     }
 
+    /// The channel, whose frames are pieces of something with this layout.
+    pub(super) const fn in_pieces_of(self, layout: LayoutHash) -> Self {
+        Self { declared: Declared { layout, ..self.declared }, ..self }
+    }
+
     pub(crate) const fn declared(&self) -> Declared {
         self.declared
     }

@@ -3,19 +3,20 @@
 use crate::can::Payload;
 use crate::protocol::LayoutHash;
 
-/// What a channel's events carry, at most eight bytes. Implemented by [`content!`](crate::content) for a
-/// struct, and for unsigned and signed integers, `f32`, `f64`, `bool`, and byte arrays. `cosmic-plan` generates it for
-/// contents that the description of the cluster states.
+/// What a channel's events carry: at most eight bytes, or 1024 on a [channel of messages](super::MessageChannel).
+/// Implemented by [`content!`](crate::content) for a struct, and for unsigned and signed integers, `f32`, `f64`, `bool`,
+/// and byte arrays. `cosmic-plan` generates it for contents that the description of the cluster states.
 pub trait Content: Sized {
     /// How many bytes it takes, at most.
     const LEN: usize;
     /// A hash of the layout: the types of the fields in their order.
     const LAYOUT: LayoutHash;
 
-    /// Writes the bytes; `bytes` has [`Content::LEN`] of them.
+    /// Writes the bytes; `bytes` has [`Content::LEN`] of them, or [`encoded_len`](Self::encoded_len) on a channel of
+    /// messages.
     fn encode(&self, bytes: &mut [u8]);
 
-    /// How many bytes this value takes; [`Content::LEN`], but for [`Payload`].
+    /// How many bytes this value takes; [`Content::LEN`], but for [`Payload`] and [`Bytes`](super::Bytes).
     #[inline]
     fn encoded_len(&self) -> usize {
         Self::LEN
@@ -125,7 +126,7 @@ pub const fn layout_of(types: &[&str]) -> LayoutHash {
 }
 
 /// Declares the content of a channel: a struct whose fields are content themselves, and stand on the wire
-/// one after the other, big-endian. It does not compile when it is longer than a frame.
+/// one after the other, big-endian. A channel does not compile whose content is longer than it may be.
 ///
 /// ```
 /// use cosmic_core::event_layer::Content;

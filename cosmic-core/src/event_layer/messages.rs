@@ -1,26 +1,78 @@
 //! Messages longer than a frame, on a non real-time channel.
 //!
-//! The channel is declared with [`Payload`] as its content. The publisher wraps its publication in a
-//! [`MessagePublisher`], each subscriber its subscription in a [`MessageSubscriber`]; the header that
-//! they put before each fragment is that of [`crate::network::fragments`]. Only one fragment at a time
-//! is in the node's queue, so a long message does not keep other events waiting. A message arrives whole or
-//! not at all, and what is dropped is counted.
+//! A [`MessageChannel`] says what its messages are: any [`Content`] of up to 1024 bytes. Its
+//! [fragments](MessageChannel::fragments) are a channel as any other, which is announced and subscribed to. The
+//! publisher wraps its publication in a [`MessagePublisher`], each subscriber its subscription in a
+//! [`MessageSubscriber`]; the header that they put before each fragment is that of
+//! [`crate::network::fragments`]. Only one fragment at a time is in the node's queue, so a long message does not
+//! keep other events waiting. A message arrives whole or not at all, and what is dropped is counted.
 //!
 //! ```
 //! use cosmic_core::Subject;
-//! use cosmic_core::can::{Etag, Payload};
-//! use cosmic_core::event_layer::{Channel, Importance, NonRealTimeAttributes};
+//! use cosmic_core::event_layer::{Bytes, Importance, MessageChannel, NonRealTimeAttributes};
 //!
-//! const LOGBOOK: Channel<Payload> = Channel::non_real_time(
+//! /// Lines of up to 80 bytes, from one publisher at a time.
+//! const LOGBOOK: MessageChannel<Bytes<80>, 80, 1> = MessageChannel::new(
 //!     Subject::new(0xC05A_1C00_0000_0005).unwrap(),
 //!     NonRealTimeAttributes { importance: Importance::LEAST, validity: None },
 //! );
 //! ```
 
-use super::{Delivered, Publication, Subscription};
+use super::{Channel, Content, Delivered, NonRealTimeAttributes, Publication, Subscription};
 use crate::can::{Etag, Frame, Id, Payload, Priority};
-use crate::network::fragments::{Fragmenter, Message, Reassembler, ReassemblyCounters, StartError};
+use crate::network::fragments::{
+    Fragmenter, MAX_MESSAGE_LEN, Message, Reassembler, ReassemblyCounters, StartError,
+};
+use crate::protocol::LayoutHash;
 use crate::time::{Duration, Instant};
+use crate::uid::Subject;
+use core::marker::PhantomData;
+
+/// A channel of messages with content `C` of up to `LEN` bytes, from up to `PUBLISHERS` nodes at once.
+#[derive(Debug)]
+pub struct MessageChannel<C, const LEN: usize, const PUBLISHERS: usize> {
+    fragments: Channel<Payload>,
+    content: PhantomData<fn() -> C>,
+}
+
+impl<C, const LEN: usize, const PUBLISHERS: usize> Clone for MessageChannel<C, LEN, PUBLISHERS> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<C, const LEN: usize, const PUBLISHERS: usize> Copy for MessageChannel<C, LEN, PUBLISHERS> {}
+
+impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageChannel<C, LEN, PUBLISHERS> {
+    /// A channel of messages. The broker gives its etag.
+    pub const fn new(subject: Subject, attributes: NonRealTimeAttributes) -> Self {
+        const { assert!(LEN <= MAX_MESSAGE_LEN, "a message has at most 1024 bytes") };
+        const { assert!(C::LEN <= LEN, "the content is longer than a message of this channel") };
+        const { assert!(PUBLISHERS > 0, "somebody publishes") };
+        let fragments = Channel::non_real_time(subject, attributes).in_pieces_of(C::LAYOUT);
+        Self { fragments, content: PhantomData }
+    }
+
+    /// The channel with a fixed etag, for a cluster that has no broker.
+    pub const fn with_etag(self, etag: Etag) -> Self {
+        Self { fragments: self.fragments.with_etag(etag), ..self }
+    }
+
+    /// As [`Channel::with_layout`].
+    pub const fn with_layout(self, layout: LayoutHash) -> Self {
+        Self { fragments: self.fragments.with_layout(layout), ..self }
+    }
+
+    /// The channel as its frames are published: each carries a piece of a message.
+    pub const fn fragments(&self) -> &Channel<Payload> {
+        &self.fragments
+    }
+
+    /// Its subject.
+    pub const fn subject(&self) -> Subject {
+        self.fragments.subject()
+    }
+}
 
 /// The sending side of a channel of messages of up to `LEN` bytes.
 #[derive(Debug)]
@@ -43,6 +95,24 @@ impl<const LEN: usize> MessagePublisher<LEN> {
     /// If it is too long, or the one before it is not yet sent. Then nothing has changed.
     pub fn start(&mut self, content: &[u8]) -> Result<(), StartError> {
         self.fragmenter.start(content)
+    }
+
+    /// As [`start`](Self::start), with the bytes of a content.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn start_content<C: Content>(&mut self, content: &C) -> Result<(), StartError> {
+        self.fragmenter.start_with(content.encoded_len(), |bytes| content.encode(bytes))
+    }
+
+    /// Messages of which a frame was discarded, so that nobody received them.
+    pub const fn discarded(&self) -> u32 {
+        self.fragmenter.discarded()
+    }
+
+    /// Gives the publication back, to be cancelled. What is under way is not sent to its end.
+    pub fn into_publication(self) -> Publication<Payload> {
+        self.publication
     }
 
     /// Returns whether everything has been sent.
@@ -97,6 +167,11 @@ impl<const PLACES: usize, const LEN: usize> MessageSubscriber<PLACES, LEN> {
     /// any more, if no frame comes before. Calls may be early or late.
     pub fn next_wakeup(&self) -> Instant {
         self.reassembler.next_wakeup()
+    }
+
+    /// Gives the subscription back, to be cancelled.
+    pub fn into_subscription(self) -> Subscription<Payload> {
+        self.subscription
     }
 
     pub(crate) const fn subscription(&self) -> &Subscription<Payload> {

@@ -1,6 +1,7 @@
 //! The event layer: subjects, channels, publications and subscriptions.
 
 mod attributes;
+mod bytes;
 mod channel;
 mod content;
 mod delivery;
@@ -10,19 +11,20 @@ mod layer;
 mod messages;
 mod pool;
 mod publish;
-pub use messages::{MessagePublisher, MessageSubscriber};
+pub use messages::{MessageChannel, MessagePublisher, MessageSubscriber};
 
 pub use crate::protocol::Class;
 pub use attributes::{Attributes, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes};
+pub use bytes::Bytes;
 pub use channel::{Channel, ChannelCounters, Depth, Policy, Publication, Subscription};
 pub use content::{Content, layout_of};
+pub use delivery::Delivered;
 pub use exception::{Exception, ExceptionKind};
 pub use filter::{Attribute, Context, Filter, NoRoom};
-pub use delivery::Delivered;
 pub use layer::{AnnounceError, EventLayer, SubscribeError};
 pub use publish::{Event, PublishError, Published};
 
 pub(crate) use channel::Declared;
-pub(crate) use exception::Exceptions;
 pub(crate) use delivery::{Accepted, Received};
+pub(crate) use exception::Exceptions;
 pub(crate) use publish::{Quality, encode};

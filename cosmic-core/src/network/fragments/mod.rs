@@ -93,6 +93,8 @@ const CRC_LEN: usize = 2;
 
 /// How many bytes a frame carries behind the header.
 const PIECE: usize = Payload::MAX_LEN - 1;
+/// Bytes of a message at most: what takes less than half a second at 50 kbit/s.
+pub const MAX_MESSAGE_LEN: usize = 1024;
 const MESSAGE_MASK: u8 = 0x03;
 const SEQUENCE_MASK: u8 = 0x0F;
 

@@ -73,11 +73,19 @@ impl<const LEN: usize> Fragmenter<LEN> {
     /// # Errors
     /// If it is too long, or the one before it is not yet sent. Then nothing has changed.
     pub fn start(&mut self, content: &[u8]) -> Result<(), StartError> {
+        self.start_with(content.len(), |place| place.copy_from_slice(content))
+    }
+
+    /// As [`start`](Self::start), with a message of `len` bytes that `write` writes where they are kept.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn start_with(&mut self, len: usize, write: impl FnOnce(&mut [u8])) -> Result<(), StartError> {
         if !self.is_idle() {
             return Err(StartError::Busy);
         }
-        self.content.get_mut(..content.len()).ok_or(StartError::TooLong)?.copy_from_slice(content);
-        self.len = content.len();
+        write(self.content.get_mut(..len).ok_or(StartError::TooLong)?);
+        self.len = len;
         self.done = 0;
         self.crc = CRC_START;
         self.sequence = 0;

@@ -12,6 +12,7 @@ use crate::document::{At, Log, Place, Problem, Problems, Source, nearest};
 use crate::units::show;
 use cosmic_core::calendar::Calendar;
 use cosmic_core::can::{Etag, Payload, TxNode};
+use cosmic_core::network::fragments::MAX_MESSAGE_LEN;
 use cosmic_core::protocol::Rank;
 use cosmic_core::time::Duration;
 use std::collections::HashMap;
@@ -544,4 +545,4 @@ const ABOVE_HARD: &str = "choose identifiers from 0x8 (11 bits) or 0x200000 (29 
 const UNKNOWN_PERIOD: Duration = crate::units::LONGEST_SPAN;
 
 /// Bytes of the longest fragmented event.
-pub(super) const LONGEST_EVENT: u16 = 1024;
+pub(super) const LONGEST_EVENT: u16 = MAX_MESSAGE_LEN as u16;

@@ -14,7 +14,8 @@ pub(super) fn write(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fm
     for (at, channel) in cluster.channels.iter().enumerate() {
         let slots: Vec<usize> = (0..plan.slots().len()).filter(|s| plan.slots()[*s].channel == at).collect();
         let degree = slots.first().map(|slot| plan.slots()[*slot].slot.omission_degree);
-        write_channel(out, channel, cluster.layout_of(channel), &slots, degree)?;
+        let publishers = cluster.nodes.iter().filter(|node| node.publishes.contains(&at)).count();
+        write_channel(out, channel, publishers, cluster.layout_of(channel), &slots, degree)?;
     }
     writeln!(out, "}}\n")?;
     writeln!(out, "/// All channels, in the order of the description.")?;
@@ -34,6 +35,7 @@ pub(super) fn write(out: &mut String, cluster: &Cluster, plan: &Plan) -> std::fm
 fn write_channel(
     out: &mut String,
     channel: &Channel,
+    publishers: usize,
     layout: Option<&Layout>,
     slots: &[usize],
     degree: Option<u8>,
@@ -61,43 +63,35 @@ fn write_channel(
     }
     let (of, value) = attributes(channel, degree);
     constant("The quality that the channel is announced with.", "ATTRIBUTES", &of, value)?;
-    write_constructor(out, channel, layout)?;
+    write_constructor(out, channel, publishers, layout)?;
     writeln!(out, "    }}")
 }
 
-fn write_constructor(out: &mut String, channel: &Channel, layout: Option<&Layout>) -> std::fmt::Result {
-    let of = format!("{CORE}::event_layer::Channel");
+fn write_constructor(
+    out: &mut String,
+    channel: &Channel,
+    publishers: usize,
+    layout: Option<&Layout>,
+) -> std::fmt::Result {
+    let mut of = format!("{CORE}::event_layer::Channel");
     let etag = if channel.etag.is_some() { ".with_etag(ETAG)" } else { "" };
+    let is_of_messages = usize::from(channel.length) > Payload::MAX_LEN;
     let value = match channel.class {
+        Class::NonRealTime { .. } if is_of_messages => {
+            let general = format!("{CORE}::event_layer::MessageChannel");
+            writeln!(
+                out,
+                "        /// The channel's type. A message of each publisher may be under way at a time."
+            )?;
+            writeln!(out, "        pub type MessageChannel<C> = {general}<C, LENGTH, {publishers}>;")?;
+            "MessageChannel".clone_into(&mut of);
+            format!("{general}::new(SUBJECT, ATTRIBUTES){etag}")
+        }
         Class::Hard { .. } => format!("{of}::hard(SUBJECT, ETAG, ATTRIBUTES)"),
         Class::Soft => format!("{of}::soft(SUBJECT, ATTRIBUTES){etag}"),
         Class::NonRealTime { .. } => format!("{of}::non_real_time(SUBJECT, ATTRIBUTES){etag}"),
     };
-    if usize::from(channel.length) > Payload::MAX_LEN {
-        writeln!(out, "        /// The channel, for messages of up to [`LENGTH`] bytes, in fragments.")?;
-        writeln!(out, "        pub const fn channel() -> {of}<{CORE}::can::Payload> {{")?;
-        writeln!(out, "            {value}")?;
-        return writeln!(out, "        }}");
-    }
-    match layout {
-        None => writeln!(
-            out,
-            "        /// The channel, for events of this content. It does not compile if they are longer."
-        )?,
-        Some(layout) => {
-            writeln!(out, "        /// The channel, for events of its content.")?;
-            let content = layout.type_name();
-            writeln!(out, "        pub const CHANNEL: {of}<super::super::contents::{content}> = channel();")?;
-            writeln!(
-                out,
-                "        /// The channel, for content that was written in Rust or is taken as bytes. It does not"
-            )?;
-            writeln!(
-                out,
-                "        /// compile if its fields have other types than those of the description."
-            )?;
-        }
-    }
+    write_docs(out, layout, &of)?;
     writeln!(out, "        pub const fn channel<C: {CORE}::event_layer::Content>() -> {of}<C> {{")?;
     let problem = format!("the content is longer than the plan says of channel {}", channel.name);
     writeln!(out, "            const {{ ::core::assert!(C::LEN <= LENGTH, {problem:?}) }};")?;
@@ -115,6 +109,24 @@ fn write_constructor(out: &mut String, channel: &Channel, layout: Option<&Layout
         writeln!(out, "            {value}")?;
     }
     writeln!(out, "        }}")
+}
+
+/// What the channel's constructor is for; and the channel of the content that the description states.
+fn write_docs(out: &mut String, layout: Option<&Layout>, of: &str) -> std::fmt::Result {
+    let Some(layout) = layout else {
+        return writeln!(
+            out,
+            "        /// The channel, for events of this content. It does not compile if they are longer."
+        );
+    };
+    writeln!(out, "        /// The channel, for events of its content.")?;
+    let content = layout.type_name();
+    writeln!(out, "        pub const CHANNEL: {of}<super::super::contents::{content}> = channel();")?;
+    writeln!(
+        out,
+        "        /// The channel, for content that was written in Rust or is taken as bytes. It does not"
+    )?;
+    writeln!(out, "        /// compile if its fields have other types than those of the description.")
 }
 
 fn attributes(channel: &Channel, degree: Option<u8>) -> (String, String) {
