@@ -13,7 +13,7 @@
 //! | status change interrupt | 5 | the controller has left the bus | [`Status`] |
 //! | interrupt of the other FIFO | 4 | other frames into a queue | [`Other`] |
 //! | events | 3 | EDF queue, promotion, non real-time queue, delivery to subscribers | [`Events`] |
-//! | application | 1, 2 | publishes, consumes, handles exceptions | [`Publisher`], [`Subscriber`] |
+//! | application | 1, 2 | publishes, consumes, handles exceptions | [`Publisher`], [`Subscriber`], [`MessagePublisher`], [`MessageSubscriber`] |
 //!
 //! Only the order matters: calendar above urgent above the rest, events above the application, and nothing above
 //! the calendar. `examples/robot` in the repository is a whole cluster.
@@ -35,6 +35,7 @@ pub mod application;
 pub mod board;
 mod hard;
 mod inbox;
+pub mod messages;
 mod node;
 pub mod observer;
 mod start;
@@ -47,6 +48,7 @@ pub use application::{
 };
 pub use board::Board;
 pub use hard::Hard;
+pub use messages::{Message, MessageError, MessagePublisher, MessageSubscriber};
 pub use node::Node;
 pub use observer::{CalendarObserver, Observer, Observes};
 pub use start::{Parts, Storage, start, start_observed, start_with};
@@ -72,9 +74,9 @@ macro_rules! spawn {
 /// What an application needs, to be imported as a whole.
 pub mod prelude {
     pub use crate::{
-        Board, Calendar, Events, Node, Other, Outcomes, Parts, Publisher, Status, Storage, Subscriber,
-        System, Ticker, Urgent, before_slot, next_exception, publish_every, publish_in_slots, settled, spawn,
-        synchronised,
+        Board, Calendar, Events, MessagePublisher, MessageSubscriber, Node, Other, Outcomes, Parts,
+        Publisher, Status, Storage, Subscriber, System, Ticker, Urgent, before_slot, next_exception,
+        publish_every, publish_in_slots, settled, spawn, synchronised,
     };
     pub use cosmic_core::event_layer::{Depth, Policy};
     pub use cosmic_core::time::Duration;

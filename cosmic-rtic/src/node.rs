@@ -16,6 +16,7 @@ use rtic_sync::signal::SignalWriter;
 
 use crate::board::{Board, BusStatus as _, TxMailbox as _};
 use crate::inbox::Item;
+use crate::messages::Departures;
 use crate::observer::{Observer as _, Observes};
 use crate::system::{self, Half, System};
 
@@ -34,6 +35,9 @@ pub struct Node<T: System> {
     pub(crate) sync_period: Duration,
     /// When the clock was first seen to be synchronised, if it is.
     pub(crate) synchronised_since: Option<Instant>,
+    /// Who sends messages, and what had been discarded when they were woken last.
+    pub(crate) departures: Departures,
+    pub(crate) discarded: u32,
     pub(crate) observer: T::Observer,
 }
 
@@ -181,6 +185,9 @@ impl<T: System> Node<T> {
     #[inline]
     pub(crate) fn take_in(&mut self, item: &Item) {
         self.half.on_input(&item.input, item.at);
+        if let Input::Outcome(Mailbox::NonRealTime, _) = item.input {
+            self.departures.wake();
+        }
     }
 
     /// Does what is due, and says when something will be, if nothing else happens.
@@ -192,12 +199,19 @@ impl<T: System> Node<T> {
         if core::mem::replace(&mut self.errors, errors) != errors {
             self.half.on_input(&Input::Errors(errors), now);
         }
-        loop {
+        let next = loop {
             match self.half.poll(now) {
                 Step::Command(command) => self.execute(command),
-                Step::SleepUntil(instant) => return instant,
+                Step::SleepUntil(instant) => break instant,
             }
+        };
+        let discarded = [ExceptionKind::ValidityExpired, ExceptionKind::IdentifierLost]
+            .into_iter()
+            .fold(0, |sum: u32, kind| sum.wrapping_add(self.half.exceptions(kind)));
+        if core::mem::replace(&mut self.discarded, discarded) != discarded {
+            self.departures.wake();
         }
+        next
     }
 
     /// The calendar task has other slots, and the services more to say.
@@ -207,7 +221,7 @@ impl<T: System> Node<T> {
     }
 
     #[inline]
-    fn carry_out(&mut self, due: Due) {
+    pub(crate) fn carry_out(&mut self, due: Due) {
         if let Some(command) = due.command() {
             self.execute(command);
         }

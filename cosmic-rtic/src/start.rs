@@ -8,6 +8,7 @@ use cosmic_core::time::Duration;
 use crate::board::{Board, BoardParts};
 use crate::hard::{Hard, HardCell};
 use crate::inbox::Queues;
+use crate::messages::Departures;
 use crate::node::Node;
 use crate::observer::Observer;
 use crate::system::{Buffers, StartError, System, Timed as _};
@@ -116,6 +117,8 @@ pub fn start_with<T: System>(
             wake_calendar: ends.wake_calendar,
             sync_period: plan.sync.map_or(Duration::from_ticks(0), |sync| sync.period),
             synchronised_since: None,
+            departures: Departures::NOBODY,
+            discarded: 0,
             observer,
         },
     }

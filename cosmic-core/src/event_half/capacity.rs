@@ -262,7 +262,7 @@ pub trait Half {
         subscriber: &mut MessageSubscriber<PLACES, LEN>,
         now: Instant,
         waker: &Waker,
-        take: impl FnOnce(Message<'_>) -> R,
+        decode: impl FnMut(Message<'_>) -> Option<R>,
     ) -> Poll<R>;
 
     /// As [`EventHalf::take_exception`].
@@ -380,9 +380,9 @@ impl<
         subscriber: &mut MessageSubscriber<PLACES, LEN>,
         now: Instant,
         waker: &Waker,
-        take: impl FnOnce(Message<'_>) -> R,
+        decode: impl FnMut(Message<'_>) -> Option<R>,
     ) -> Poll<R> {
-        Self::poll_message(self, subscriber, now, waker, take)
+        Self::poll_message(self, subscriber, now, waker, decode)
     }
 
     fn take_exception(&mut self) -> Option<Exception> {

@@ -12,8 +12,7 @@ pub trait Content: Sized {
     /// A hash of the layout: the types of the fields in their order.
     const LAYOUT: LayoutHash;
 
-    /// Writes the bytes; `bytes` has [`Content::LEN`] of them, or [`encoded_len`](Self::encoded_len) on a channel of
-    /// messages.
+    /// Writes the bytes; `bytes` has [`Content::LEN`] of them.
     fn encode(&self, bytes: &mut [u8]);
 
     /// How many bytes this value takes; [`Content::LEN`], but for [`Payload`] and [`Bytes`](super::Bytes).

@@ -102,7 +102,10 @@ impl<const LEN: usize> MessagePublisher<LEN> {
     /// # Errors
     /// As there.
     pub fn start_content<C: Content>(&mut self, content: &C) -> Result<(), StartError> {
-        self.fragmenter.start_with(content.encoded_len(), |bytes| content.encode(bytes))
+        self.fragmenter.start_with(C::LEN, |bytes| {
+            content.encode(bytes);
+            content.encoded_len()
+        })
     }
 
     /// Messages of which a frame was discarded, so that nobody received them.

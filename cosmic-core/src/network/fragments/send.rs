@@ -73,19 +73,26 @@ impl<const LEN: usize> Fragmenter<LEN> {
     /// # Errors
     /// If it is too long, or the one before it is not yet sent. Then nothing has changed.
     pub fn start(&mut self, content: &[u8]) -> Result<(), StartError> {
-        self.start_with(content.len(), |place| place.copy_from_slice(content))
+        self.start_with(content.len(), |place| {
+            place.copy_from_slice(content);
+            content.len()
+        })
     }
 
-    /// As [`start`](Self::start), with a message of `len` bytes that `write` writes where they are kept.
+    /// As [`start`](Self::start), with a message that `write` writes into a place of `room` bytes; it returns how
+    /// many it has written.
     ///
     /// # Errors
     /// As there.
-    pub fn start_with(&mut self, len: usize, write: impl FnOnce(&mut [u8])) -> Result<(), StartError> {
+    pub fn start_with(
+        &mut self,
+        room: usize,
+        write: impl FnOnce(&mut [u8]) -> usize,
+    ) -> Result<(), StartError> {
         if !self.is_idle() {
             return Err(StartError::Busy);
         }
-        write(self.content.get_mut(..len).ok_or(StartError::TooLong)?);
-        self.len = len;
+        self.len = write(self.content.get_mut(..room).ok_or(StartError::TooLong)?).min(room);
         self.done = 0;
         self.crc = CRC_START;
         self.sequence = 0;

@@ -1,0 +1,198 @@
+//! Messages longer than a frame: a task waits until one is complete, or has left the node.
+
+use core::future::poll_fn;
+use core::marker::PhantomData;
+use core::task::{Poll, Waker};
+
+use cosmic_core::Half as _;
+use cosmic_core::can::TxNode;
+use cosmic_core::event_layer::{
+    self, AnnounceError, Content, Depth, Filter, MessageChannel, Policy, PublishError, SubscribeError,
+};
+use cosmic_core::network::fragments::ReassemblyCounters;
+use cosmic_core::time::Duration;
+use rtic_core::Mutex;
+
+use crate::board::Board as _;
+use crate::node::Node;
+use crate::system::System;
+
+/// The right to publish messages of up to `LEN` bytes on a channel. One for each channel and node.
+#[derive(Debug)]
+pub struct MessagePublisher<C, const LEN: usize> {
+    inner: event_layer::MessagePublisher<LEN>,
+    content: PhantomData<fn(&C)>,
+}
+
+/// A subscription to a channel of messages of up to `LEN` bytes, from up to `PUBLISHERS` nodes at once.
+#[derive(Debug)]
+pub struct MessageSubscriber<C, const LEN: usize, const PUBLISHERS: usize> {
+    inner: event_layer::MessageSubscriber<PUBLISHERS, LEN>,
+    content: PhantomData<fn() -> C>,
+}
+
+/// A message as it is delivered.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Message<C> {
+    /// What was published.
+    pub content: C,
+    /// The node that published it.
+    pub publisher: TxNode,
+}
+
+/// Why a message was not sent.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum MessageError {
+    /// One of its frames was refused.
+    Publish(PublishError),
+    /// One of its frames expired, or lost its identifier, before it was sent. Receivers drop the rest.
+    Discarded,
+}
+
+impl<C: Content, const LEN: usize> MessagePublisher<C, LEN> {
+    /// Announces the channel.
+    ///
+    /// # Errors
+    /// [`AnnounceError`]: a channel that is not in the plan of this node, mostly.
+    pub fn announce<T: System, const PUBLISHERS: usize>(
+        channel: &MessageChannel<C, LEN, PUBLISHERS>,
+        node: &mut impl Mutex<T = Node<T>>,
+    ) -> Result<Self, AnnounceError> {
+        let publication = node.lock(|node| node.announce(channel.fragments()))?;
+        Ok(Self { inner: event_layer::MessagePublisher::new(publication), content: PhantomData })
+    }
+
+    /// Sends a message, and waits until all of it has left the node. Frames of others come in between.
+    ///
+    /// A call that is given up leaves the rest of its message to the next call, which sends it first.
+    ///
+    /// # Errors
+    /// [`MessageError`]: nobody has received the message.
+    pub async fn publish<T: System>(
+        &mut self,
+        content: &C,
+        node: &mut impl Mutex<T = Node<T>>,
+    ) -> Result<(), MessageError> {
+        // Of a call before that was given up, it is no concern of this one how its message ended.
+        let _ = self.departure(node).await;
+        // It fits, which the type of the channel says, and nothing is under way.
+        let _ = self.inner.start_content(content);
+        self.departure(node).await
+    }
+
+    /// Waits until nothing is under way any more.
+    async fn departure<T: System>(&mut self, node: &mut impl Mutex<T = Node<T>>) -> Result<(), MessageError> {
+        let discarded = self.inner.discarded();
+        let publisher = &mut self.inner;
+        poll_fn(|context| node.lock(|node| node.poll_departure(publisher, context.waker())))
+            .await
+            .map_err(MessageError::Publish)?;
+        if self.inner.discarded() == discarded { Ok(()) } else { Err(MessageError::Discarded) }
+    }
+
+    /// Gives up the announcement. What is under way is not sent to its end.
+    pub fn cancel<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
+        node.lock(|node| node.cancel_publication(self.inner.into_publication()));
+    }
+}
+
+impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C, LEN, PUBLISHERS> {
+    /// Subscribes to all messages of the channel. One that stops is dropped after `time_out`, which should be longer
+    /// than the bus is ever kept from non real-time traffic.
+    ///
+    /// # Errors
+    /// [`SubscribeError`]: a channel that is not in the plan, or no room.
+    pub fn subscribe<T: System>(
+        channel: &MessageChannel<C, LEN, PUBLISHERS>,
+        time_out: Duration,
+        node: &mut impl Mutex<T = Node<T>>,
+    ) -> Result<Self, SubscribeError> {
+        let subscription = node.lock(|node| node.subscribe(channel.fragments(), Filter::ALL, FRAGMENTS))?;
+        Ok(Self { inner: event_layer::MessageSubscriber::new(subscription, time_out), content: PhantomData })
+    }
+
+    /// Waits for the next message. One whose bytes are no value of the channel's type is passed over, with
+    /// an exception.
+    pub async fn next<T: System>(&mut self, node: &mut impl Mutex<T = Node<T>>) -> Message<C> {
+        let subscriber = &mut self.inner;
+        poll_fn(|context| node.lock(|node| node.poll_message(subscriber, context.waker()))).await
+    }
+
+    /// What was delivered and dropped.
+    pub const fn counters(&self) -> &ReassemblyCounters {
+        self.inner.counters()
+    }
+
+    /// Gives up the subscription, with what has arrived of messages.
+    pub fn cancel<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
+        node.lock(|node| node.cancel_subscription(self.inner.into_subscription()));
+    }
+}
+
+impl<T: System> Node<T> {
+    /// Sends the next frame of a message if it is time to; ready when none is left.
+    fn poll_departure<const LEN: usize>(
+        &mut self,
+        publisher: &mut event_layer::MessagePublisher<LEN>,
+        waker: &Waker,
+    ) -> Poll<Result<(), PublishError>> {
+        if publisher.is_idle() {
+            return Poll::Ready(Ok(()));
+        }
+        let sent = self.half.send_message(T::Board::now(), publisher);
+        self.wake.write(());
+        self.carry_out(sent?);
+        if publisher.is_idle() {
+            return Poll::Ready(Ok(()));
+        }
+        self.departures.register(waker);
+        Poll::Pending
+    }
+
+    fn poll_message<C: Content, const PLACES: usize, const LEN: usize>(
+        &mut self,
+        subscriber: &mut event_layer::MessageSubscriber<PLACES, LEN>,
+        waker: &Waker,
+    ) -> Poll<Message<C>> {
+        self.half.poll_message(subscriber, T::Board::now(), waker, |message| {
+            let content = C::decode(message.content)?;
+            Some(Message { content, publisher: message.publisher })
+        })
+    }
+}
+
+/// Tasks that wait until a non real-time frame has left the node.
+#[derive(Debug)]
+pub(crate) struct Departures {
+    wakers: [Option<Waker>; TASKS],
+}
+
+impl Departures {
+    pub(crate) const NOBODY: Self = Self { wakers: [const { None }; TASKS] };
+
+    /// The task is woken by the next departure.
+    fn register(&mut self, waker: &Waker) {
+        if self.wakers.iter().flatten().any(|other| other.will_wake(waker)) {
+            return;
+        }
+        match self.wakers.iter_mut().find(|place| place.is_none()) {
+            Some(place) => *place = Some(waker.clone()),
+            // It looks again at once.
+            None => waker.wake_by_ref(),
+        }
+    }
+
+    /// A frame has left: they look whether it was theirs.
+    pub(crate) fn wake(&mut self) {
+        self.wakers.iter_mut().filter_map(Option::take).for_each(Waker::wake);
+    }
+}
+
+/// So many tasks of a node sleep while they send messages. Further ones look again and again.
+const TASKS: usize = 4;
+
+/// Fragments that may wait: more than arrive before the task runs.
+const FRAGMENTS: Policy = Policy::Fifo(Depth::new(8).unwrap());

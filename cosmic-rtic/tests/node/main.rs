@@ -1,0 +1,90 @@
+//! A node on a board that is only values: what the parts of the runtime hand to each other.
+
+mod bench;
+mod loops;
+mod messages;
+
+use std::cell::RefCell;
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
+
+use bench::*;
+use cosmic_core::can::{Mailbox, Outcome};
+use cosmic_core::event_layer::ExceptionKind;
+use cosmic_rtic::{Parts, Publisher, Subscriber};
+
+#[test]
+fn published_events_take_turns_in_the_mailbox() {
+    let Parts { node, mut events, mut outcomes, .. } = parts();
+    let node = RefCell::new(node);
+    let heat = Publisher::announce(&HEAT, &mut Resource(&node)).unwrap();
+    heat.publish(1, &mut Resource(&node)).unwrap();
+    heat.publish(2, &mut Resource(&node)).unwrap();
+    let loaded = LOADED.take();
+    assert_eq!(loaded.len(), 1, "the second waits until the first has left");
+    assert_eq!((loaded[0].0, loaded[0].1.payload.as_slice()), (Mailbox::Soft, &[0, 1][..]));
+    OUTCOMES.with_borrow_mut(|outcomes| outcomes.push_back((Mailbox::Soft, Outcome::Sent)));
+    outcomes.run();
+    run_events(&mut events, &node);
+    let loaded = LOADED.take();
+    assert_eq!((loaded[0].0, loaded[0].1.payload.as_slice()), (Mailbox::Soft, &[0, 2][..]));
+    assert_eq!(notes(&node), ["published 1", "published 2"]);
+}
+
+#[test]
+fn received_frames_reach_the_subscriber_from_both_fifos() {
+    let Parts { node, mut events, mut urgent, mut other, .. } = parts();
+    let node = RefCell::new(node);
+    let heat = Subscriber::subscribe(&HEAT, QUEUE, &mut Resource(&node)).unwrap();
+    NOW.set(5_000);
+    RECEIVED.with_borrow_mut(|received| received.push_back(frame(7)));
+    other.run();
+    NOW.set(9_000);
+    RECEIVED.with_borrow_mut(|received| received.push_back(frame(8)));
+    urgent.run();
+    assert!(heat.try_next(&mut Resource(&node)).is_none());
+    run_events(&mut events, &node);
+    // The urgent FIFO comes first.
+    let first = heat.try_next(&mut Resource(&node)).unwrap();
+    assert_eq!((first.content, first.received_at.since_epoch().as_ticks()), (8, 9_000));
+    let second = heat.try_next(&mut Resource(&node)).unwrap();
+    assert_eq!((second.content, second.received_at.since_epoch().as_ticks()), (7, 5_000));
+    assert_eq!(notes(&node), ["delivered 8", "delivered 7"]);
+}
+
+#[test]
+fn what_a_fifo_or_a_queue_loses_becomes_exceptions() {
+    let Parts { node, mut events, mut urgent, .. } = parts();
+    let node = RefCell::new(node);
+    LOSSES.set(2);
+    urgent.run();
+    run_events(&mut events, &node);
+    assert_eq!(exceptions(&node, ExceptionKind::InputLost), 2);
+    // The queue of the urgent FIFO has seven places.
+    for _ in 0..3 {
+        RECEIVED.with_borrow_mut(|received| received.extend([frame(1), frame(2), frame(3)]));
+        urgent.run();
+    }
+    run_events(&mut events, &node);
+    assert_eq!(exceptions(&node, ExceptionKind::InputLost), 4);
+}
+
+#[test]
+fn each_bus_off_becomes_an_exception() {
+    let Parts { node, mut events, mut status, .. } = parts();
+    let node = RefCell::new(node);
+    for _ in 0..2 {
+        IS_OFF.set(true);
+        status.run();
+    }
+    status.run();
+    run_events(&mut events, &node);
+    assert_eq!(exceptions(&node, ExceptionKind::BusOff), 2);
+    let mut resource = Resource(&node);
+    let mut next = pin!(cosmic_rtic::next_exception(&mut resource));
+    let Poll::Ready(exception) = next.as_mut().poll(&mut Context::from_waker(Waker::noop())) else {
+        panic!("there is an exception");
+    };
+    assert_eq!(exception.kind, ExceptionKind::BusOff);
+    assert_eq!(notes(&node), ["BusOff"]);
+}
