@@ -30,7 +30,7 @@ fn file(folder: &Path, name: &str, content: &str) -> String {
     path.display().to_string()
 }
 
-const HEAD: &str = "[segment]\nname = 'test'\nbit_rate = '1 Mbit/s'\nclock_accuracy = '5 us'\n\
+const HEAD: &str = "[segment]\nname = 'test'\nbit_rate = '1 Mbit/s'\nclock_accuracy = '5 us'\nstamp_latency = '1 us'\n\
                     release_jitter = '5 us'\n\n[[node]]\nname = 'a'\nuid = 1\n";
 
 fn hard(name: &str, subject: u32, period: &str, degree: u8) -> String {
@@ -116,8 +116,14 @@ fn what_would_not_reach_the_image_is_refused() {
         ("priority_step = '18 ms'", "", "segment.priority_step", "write at most 17 ms"),
         ("sync_period = '1 ms'", "", "segment.sync_period", "write 5 ms to 10 s"),
         ("sync_period = '5 ms'\nstamp_latency = '1 ms'", "", "segment.sync_period", "a hundred times"),
+        ("stamp_latency = '5 us'", "", "segment.clock_accuracy", "write more than 5.375 µs"),
     ] {
-        let text = HEAD.replace("[segment]", &format!("[segment]\n{head}"));
+        // Lines of the same field stand once.
+        let text: String = HEAD
+            .split_inclusive('\n')
+            .filter(|line| !head.lines().any(|own| own.split('=').next() == line.split('=').next()))
+            .collect();
+        let text = text.replace("[segment]", &format!("[segment]\n{head}"));
         let text = format!("{text}{node}\npublishes = ['heat']\n{channel}");
         let report = json(&run(&["check", &file(&folder, "wrong.toml", &text), "--json"]));
         assert_eq!(report["problems"].as_array().map(Vec::len), Some(1), "{report}");
@@ -283,12 +289,16 @@ fn foreign_frames_come_from_a_list_or_a_dbc_file() {
     assert!(text(&run(&["check", &urgent]).stderr).contains("would win against hard real-time"));
 }
 
-/// Every `$ cosmic-plan ...` in the tutorial prints what the tutorial says.
+/// Every `$ cosmic-plan ...` in the tutorial prints what the tutorial says. `UPDATE_DOCS=1` writes what they print
+/// instead.
 #[test]
 fn the_tutorial_shows_what_is_printed() {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
-    let tutorial = std::fs::read_to_string(docs.join("tutorial.md")).expect("it is there");
+    let update = std::env::var_os("UPDATE_DOCS").is_some();
+    let path = docs.join("tutorial.md");
+    let tutorial = std::fs::read_to_string(&path).expect("it is there");
     let mut shown = 0;
+    let mut updated = tutorial.clone();
     for block in tutorial.split("```console\n").skip(1) {
         let block = block.split("```").next().unwrap_or("");
         let Some((command, expected)) = block.strip_prefix("$ cosmic-plan ").and_then(|b| b.split_once('\n'))
@@ -302,16 +312,43 @@ fn the_tutorial_shows_what_is_printed() {
             .expect("the program starts");
         let printed = text(&output.stdout) + &text(&output.stderr);
         let lines = |text: &str| text.lines().map(|l| l.trim_end().to_owned()).collect::<Vec<_>>();
-        assert_eq!(lines(&printed), lines(expected), "cosmic-plan {command}");
+        if update {
+            let printed = lines(&printed).join("\n");
+            updated = updated.replace(block, &format!("$ cosmic-plan {command}\n{printed}\n"));
+        } else {
+            assert_eq!(lines(&printed), lines(expected), "cosmic-plan {command}");
+        }
         shown += 1;
     }
     assert!(shown >= 6);
+    if update {
+        std::fs::write(&path, updated).expect("it can be written");
+    }
     // And the pictures are those of the files.
     for name in ["first", "pooled"] {
-        let out = folder("tutorial").join("picture.svg").display().to_string();
+        let kept = docs.join(format!("pictures/planner-{name}.svg"));
+        let out = if update { kept.clone() } else { folder("tutorial").join("picture.svg") };
         let file = docs.join(format!("tutorial/{name}.toml")).display().to_string();
-        assert!(run(&["render", &file, "--out", &out]).status.success());
-        let kept = std::fs::read_to_string(docs.join(format!("pictures/planner-{name}.svg")));
-        assert_eq!(std::fs::read_to_string(out).ok(), kept.ok(), "{name}");
+        assert!(run(&["render", &file, "--out", &out.display().to_string()]).status.success());
+        assert_eq!(std::fs::read_to_string(out).ok(), std::fs::read_to_string(kept).ok(), "{name}");
     }
+}
+
+/// The robot that the tutorial plans is the robot that runs at its end, and its text shows all of the file.
+#[test]
+fn the_tutorial_is_of_the_robot() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let read = |name: &str| std::fs::read_to_string(root.join(name)).expect("it is there");
+    let planned = read("docs/tutorial/first.toml");
+    assert_eq!(planned, read("examples/robot/cluster.toml"));
+    let tutorial = read("docs/tutorial.md");
+    let shown = tutorial.split("```toml\n").skip(1).filter_map(|block| block.split("```").next());
+    let shown: String = shown.filter(|block| !block.contains("[[pool]]")).collect();
+    let lines = |text: &str| {
+        text.lines()
+            .filter(|line| !line.is_empty() && !line.starts_with('#'))
+            .map(str::to_owned)
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(lines(&shown), lines(&planned));
 }

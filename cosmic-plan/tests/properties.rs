@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 /// A cluster of hard channels: (period in ms, bytes, omission degree, wish), and how the bus is loaded besides.
 fn cluster(hard: &[(u64, u8, u8, u8)], soft: &[(u64, u64)]) -> Cluster {
     let mut text = String::from(
-        "[segment]\nname = 'random'\nbit_rate = '1 Mbit/s'\nclock_accuracy = '5 us'\nrelease_jitter = '5 us'\n\
+        "[segment]\nname = 'random'\nbit_rate = '1 Mbit/s'\nclock_accuracy = '5 us'\nstamp_latency = '1 us'\nrelease_jitter = '5 us'\n\
          [errors]\ncount = 1\nwindow = '20 ms'\n",
     );
     for node in 0..3 {

@@ -18,7 +18,7 @@ pub(crate) struct Options {
 /// Makes it, and says how to go on.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
     make(workspace, &options.directory)?;
-    println!("{} is a cluster of two nodes, arm and controller. There:", options.directory.display());
+    println!("{} is a cluster of three nodes: arm, controller, panel. There:", options.directory.display());
     println!("  cargo run                  builds the images and runs them on an emulated cluster");
     println!("  cargo test                 the same, as a test");
     println!("  cargo flash --bin arm      flashes one of them, by probe-rs");
@@ -122,7 +122,7 @@ mod tests {
         let scratch = Scratch::new("lines");
         make(&Workspace::find().unwrap(), &scratch.0).unwrap();
         let applications: Vec<_> = fs::read_dir(scratch.0.join("src/bin")).unwrap().flatten().collect();
-        assert!(applications.len() >= 2);
+        assert!(applications.len() >= 3);
         for application in applications {
             let lines = fs::read_to_string(application.path()).unwrap().lines().count();
             assert!(lines <= 60, "{} has {lines} lines", application.path().display());

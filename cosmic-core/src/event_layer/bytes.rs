@@ -8,11 +8,9 @@ use core::fmt;
 /// nothing of it.
 ///
 /// ```
-/// use core::fmt::Write as _;
 /// use cosmic_core::event_layer::Bytes;
 ///
-/// let mut line = Bytes::<40>::EMPTY;
-/// write!(line, "{} events", 50).unwrap();
+/// let line = Bytes::<40>::text(format_args!("{} events", 50)).unwrap();
 /// assert_eq!(line.as_str(), Some("50 events"));
 /// ```
 #[derive(Clone, Copy)]
@@ -33,6 +31,13 @@ impl<const N: usize> Bytes<N> {
     pub fn new(bytes: &[u8]) -> Option<Self> {
         let mut new = Self::EMPTY;
         new.append(bytes)?;
+        Some(new)
+    }
+
+    /// A text; `None` if it is longer than `N` bytes.
+    pub fn text(text: fmt::Arguments<'_>) -> Option<Self> {
+        let mut new = Self::EMPTY;
+        fmt::Write::write_fmt(&mut new, text).ok()?;
         Some(new)
     }
 
@@ -122,6 +127,8 @@ mod tests {
         assert_eq!(line.as_str(), Some("12345"));
         line.write_str("678").unwrap();
         assert_eq!(line.as_slice(), b"12345678");
+        assert_eq!(Bytes::<8>::text(format_args!("12345{}", "678")), Some(line));
+        assert_eq!(Bytes::<8>::text(format_args!("12345{}", "6789")), None);
         assert_eq!(Bytes::<8>::new(b"123456789"), None);
     }
 

@@ -162,7 +162,7 @@ fn fixed_priorities_stay_within_the_exact_bound() {
 /// A random segment, as its file.
 fn segment(rng: &mut TestRng, faults: u32) -> String {
     let mut text = String::from(
-        "[segment]\nname = 'random'\nbit_rate = '1 Mbit/s'\nclock_accuracy = '5 us'\n\
+        "[segment]\nname = 'random'\nbit_rate = '1 Mbit/s'\nclock_accuracy = '5 us'\nstamp_latency = '1 us'\n\
          release_jitter = '5 us'\nsync_period = '0 s'\n",
     );
     if faults > 0 {

@@ -2,6 +2,7 @@
 #![no_std]
 
 pub use boards::Stm32F405;
+pub use cosmic_core::event_layer::Bytes;
 use cosmic_core::event_layer::{Channel, Content, Exception, PublishError};
 use cosmic_core::plan::NodePlan;
 use cosmic_core::services::ClockService;
@@ -103,3 +104,6 @@ cosmic_core::content! {
 pub const JOINT_ANGLE: Channel<JointAngle> = channels::joint_angle::channel();
 pub const SET_POINT: Channel<SetPoint> = channels::set_point::channel();
 pub const MOTOR_HEAT: Channel<MotorHeat> = channels::motor_heat::channel();
+
+/// A line of the diary, longer than a frame.
+pub const DIARY: channels::diary::MessageChannel<Bytes<40>> = channels::diary::channel();

@@ -30,7 +30,8 @@ impl Checker<'_> {
 
     /// The clock synchronisation of the nodes refuses the same settings; here they have a place.
     pub(super) fn clock(&self, table: &SegmentTable, cluster: &Cluster) {
-        let Some(Err(error)) = cluster.sync().map(|config| config.check()) else { return };
+        let Some(config) = cluster.sync() else { return };
+        let Err(error) = config.check() else { return self.accuracy(table, cluster, &config) };
         let (field, at) = match (error, &table.sync_period) {
             (SyncConfigError::Period, at) | (_, at @ Some(_)) => ("sync_period", at),
             _ => ("stamp_latency", &table.stamp_latency),
@@ -51,6 +52,19 @@ impl Checker<'_> {
         };
         let place = at.as_ref().map_or(0..0, |at| at.place.clone());
         self.problem(&place, format!("segment.{field}"), what, help);
+    }
+
+    /// No clock is better than the stamps that set it.
+    fn accuracy(&self, table: &SegmentTable, cluster: &Cluster, config: &SyncConfig) {
+        let accuracy = cluster.segment.accuracy;
+        let Some(at) = table.clock_accuracy.as_ref().filter(|_| accuracy <= config.stamp_error) else {
+            return;
+        };
+        let error = show(config.stamp_error);
+        let what = format!("{} cannot be held: time-stamps may be wrong by {error}", show(accuracy));
+        let latency = show(cluster.stamp_latency);
+        let help = format!("write more than {error}, or a smaller stamp_latency (it is {latency})");
+        self.problem(&at.place, "segment.clock_accuracy".to_owned(), what, help);
     }
 
     pub(super) fn errors(&self, table: &ErrorsTable) -> ErrorModel {

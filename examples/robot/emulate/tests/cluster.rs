@@ -27,7 +27,7 @@ fn the_nodes_hear_each_other() {
             .iter()
             .any(|(_, of, level, message)| *of == node && *level == "INFO" && message.starts_with(text))
     };
-    assert!(said("controller", "100 events of motor_heat"), "{lines:#?}");
+    assert!(said("panel", "node 2 writes: motor at 4150 after 100 events"), "{lines:#?}");
     assert!(said("arm", "200 set points"), "{lines:#?}");
     // No event was missed, replaced or late once all had started.
     let is_warning = |level: &str| matches!(level, "WARN" | "ERROR");

@@ -2,8 +2,7 @@
 #![no_std]
 #![no_main]
 
-use robot::plan::channels::set_point;
-use robot::plan::nodes::controller::NODE;
+use robot::plan::{channels::set_point, nodes::controller::NODE};
 use robot::*;
 
 #[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2, SPI3])]
@@ -46,13 +45,16 @@ async fn steer(mut node: impl Mutex<T = Node<Robot>>) {
     publish_in_slots(&SET_POINT, &set_point::SLOT, LEAD, &mut node, answer).await.expect(PLANNED);
 }
 
-/// Says every second how hot the motor is.
+/// Writes into the diary every second how hot the motor is.
 async fn watch(mut node: impl Mutex<T = Node<Robot>>) {
     let heat = Subscriber::subscribe(&MOTOR_HEAT, QUEUE, &mut node).expect(PLANNED);
+    let mut diary = MessagePublisher::announce(&DIARY, &mut node).expect(PLANNED);
     for count in 1_u32.. {
         let MotorHeat { centidegrees } = heat.next(&mut node).await.content;
         if count.is_multiple_of(50) {
-            defmt::info!("{} events of motor_heat, the last {}", count, centidegrees);
+            let entry = Bytes::text(format_args!("motor at {centidegrees} after {count} events"));
+            let sent = diary.publish(&entry.unwrap_or(Bytes::EMPTY), &mut node).await;
+            sent.unwrap_or_else(|error| defmt::warn!("the diary was not sent: {}", error));
         }
     }
 }
