@@ -160,7 +160,7 @@ fn layouts_of_types_alone_are_those_of_rust() {
 fn mistakes_in_contents_are_named_with_their_remedy() {
     let with = |content: &str| {
         format!(
-            "[segment]\nname = 'test'\nbit_rate = '1 Mbit/s'\nclock_accuracy = '5 us'\nrelease_jitter = '5 us'\n\
+            "[segment]\nname = 'test'\nbit_rate = '1 Mbit/s'\nclock_accuracy = '50 us'\nrelease_jitter = '5 us'\n\
              [[node]]\nname = 'a'\nuid = 1\npublishes = ['c']\n\
              [[channel]]\nname = 'c'\nsubject = 1\nclass = 'NRT'\nperiod = '1 s'\n{content}"
         )
