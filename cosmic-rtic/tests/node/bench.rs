@@ -11,15 +11,13 @@ use cosmic_core::can::{
     BitRate, ErrorCounters, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode,
 };
 use cosmic_core::event_layer::{
-    Channel, Delivered, Depth, Exception, ExceptionKind, HardAttributes, Policy, PublishError, SoftAttributes,
+    Channel, Delivered, Depth, Exception, ExceptionKind, Policy, PublishError, SoftAttributes,
 };
 use cosmic_core::plan::NodePlan;
 use cosmic_core::time::{Duration, Instant};
 use cosmic_core::uid::NodeUid;
 use cosmic_rtic::board::{BoardParts, BusChanges, BusStatus, RxFifo, TxMailbox, TxOutcomes};
-use cosmic_rtic::{
-    Board, Node, Observer, Observes, Parts, Publisher, Storage, Subscriber, System, start_observed,
-};
+use cosmic_rtic::{Board, Node, Observer, Observes, Parts, Storage, System, start_observed};
 use rtic_core::Mutex;
 
 thread_local! {
