@@ -5,9 +5,10 @@ use core::marker::PhantomData;
 use core::task::{Poll, Waker};
 
 use cosmic_core::Half as _;
-use cosmic_core::can::TxNode;
+use cosmic_core::can::{Payload, TxNode};
 use cosmic_core::event_layer::{
-    self, AnnounceError, Content, Depth, Filter, MessageChannel, Policy, PublishError, SubscribeError,
+    self, AnnounceError, Channel, Content, Depth, Filter, MessageChannel, Policy, PublishError,
+    SubscribeError,
 };
 use cosmic_core::network::fragments::ReassemblyCounters;
 use cosmic_core::time::Duration;
@@ -27,6 +28,7 @@ pub struct MessagePublisher<C, const LEN: usize> {
 /// A subscription to a channel of messages of up to `LEN` bytes, from up to `PUBLISHERS` nodes at once.
 #[derive(Debug)]
 pub struct MessageSubscriber<C, const LEN: usize, const PUBLISHERS: usize> {
+    fragments: Channel<Payload>,
     inner: event_layer::MessageSubscriber<PUBLISHERS, LEN>,
     content: PhantomData<fn() -> C>,
 }
@@ -110,8 +112,10 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C,
         time_out: Duration,
         node: &mut impl Mutex<T = Node<T>>,
     ) -> Result<Self, SubscribeError> {
-        let subscription = node.lock(|node| node.subscribe(channel.fragments(), Filter::ALL, FRAGMENTS))?;
-        Ok(Self { inner: event_layer::MessageSubscriber::new(subscription, time_out), content: PhantomData })
+        let fragments = *channel.fragments();
+        let subscription = node.lock(|node| node.subscribe(&fragments, Filter::ALL, FRAGMENTS))?;
+        let inner = event_layer::MessageSubscriber::new(subscription, time_out);
+        Ok(Self { fragments, inner, content: PhantomData })
     }
 
     /// Waits for the next message. One whose bytes are no value of the channel's type is passed over, with
@@ -128,7 +132,7 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C,
 
     /// Gives up the subscription, with what has arrived of messages.
     pub fn cancel<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
-        node.lock(|node| node.cancel_subscription(self.inner.into_subscription()));
+        node.lock(|node| node.cancel_subscription(&self.fragments, self.inner.into_subscription()));
     }
 }
 
