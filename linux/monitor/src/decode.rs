@@ -74,6 +74,13 @@ impl DecodedField {
     }
 }
 
+impl From<cosmic_plan::contents::Field<'_>> for DecodedField {
+    fn from(field: cosmic_plan::contents::Field<'_>) -> Self {
+        let unit = field.unit.map(str::to_owned);
+        Self { name: field.name.to_owned(), value: field.value.to_string(), unit }
+    }
+}
+
 impl fmt::Display for DecodedField {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}={}", self.name, self.value)?;

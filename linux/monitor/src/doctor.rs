@@ -301,7 +301,10 @@ impl Monitor {
             if let Some(claims) = node.duplicate(now) {
                 let what = match claims {
                     Some((one, other)) => format!("{one} and {other} both claim TxNode {tx_node}"),
-                    None => format!("the statuses of TxNode {tx_node} are those of two nodes"),
+                    None => format!(
+                        "somebody else uses TxNode {tx_node}: its node claims it again and again, or its statuses are \
+                         those of two nodes"
+                    ),
                 };
                 findings.push(finding(Rule::DuplicateNode, what).of(&[tx_node]));
             }

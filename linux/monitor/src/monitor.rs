@@ -14,7 +14,7 @@ use cosmic_plan::cluster::Class;
 use crate::brokers::Brokers;
 use crate::channels::Channels;
 use crate::clock::{ClockNews, ListenerClock};
-use crate::decode::{self, Decoded, Meaning};
+use crate::decode::{self, Decoded, DecodedField, Meaning};
 use crate::doctor::{Finding, Suspects};
 use crate::feed::{Feed, News, Notice, NoticeKind};
 use crate::load::Load;
@@ -41,6 +41,8 @@ pub struct Monitor {
     pub(crate) load: Load,
     pub(crate) suspects: Suspects,
     feed: Feed,
+    /// When the nodes were asked who they are.
+    probed_at: Option<Instant>,
 }
 
 /// What the link told of itself.
@@ -82,6 +84,7 @@ impl Monitor {
             load: Load::new(now),
             suspects: Suspects::default(),
             feed: Feed::default(),
+            probed_at: None,
         }
     }
 
@@ -182,7 +185,24 @@ impl Monitor {
             channel: channel.zip(self.plan.as_ref()).map(|(at, plan)| plan.channel(at).name.clone()),
             subject: subject.map(|subject| subject.to_string()),
             data: frame.payload.to_string(),
-            meaning: meaning.unwrap_or(Meaning::Event { fields: Vec::new(), malformed: None }),
+            meaning: meaning.unwrap_or_else(|| {
+                let (fields, malformed) = self.content(channel, frame.payload.as_slice());
+                Meaning::Event { fields, malformed }
+            }),
+        }
+    }
+
+    /// The fields of an event of a planned channel, or why it is none.
+    pub(crate) fn content(
+        &self,
+        channel: Option<usize>,
+        bytes: &[u8],
+    ) -> (Vec<DecodedField>, Option<String>) {
+        let decoded = channel.zip(self.plan.as_ref()).map(|(at, plan)| plan.decode(at, bytes));
+        match decoded {
+            Some(Ok(fields)) => (fields, None),
+            Some(Err(why)) => (Vec::new(), Some(why.to_string())),
+            None => (Vec::new(), None),
         }
     }
 
@@ -361,6 +381,7 @@ impl Monitor {
                 let news = News::new(NoticeKind::Refused, text);
                 self.feed.add(news.because([ExceptionKind::ConfigurationRefused]), at);
             }
+            Some(ControlMessage::Probe(_)) => self.probed_at = Some(at),
             Some(ControlMessage::Release(release)) => self.leave(release.tx_node, at),
             _ => {}
         }
@@ -464,10 +485,13 @@ impl Monitor {
 
     fn on_claim(&mut self, tx_node: TxNode, uid: NodeUid, at: Instant) {
         let Some(node) = self.nodes.get_mut(tx_node) else { return };
-        node.claim(uid, at);
+        match self.probed_at {
+            Some(probed) if at.saturating_since(probed) <= PROBE => node.claim(uid, at),
+            _ => node.insist(uid, at),
+        }
         if node.duplicate(at).is_some() {
             self.explain(tx_node, ExceptionKind::DuplicateTxNode);
-            let news = News::new(NoticeKind::Duplicate, "two nodes claim this TxNode").of(tx_node);
+            let news = News::new(NoticeKind::Duplicate, "two nodes use this TxNode").of(tx_node);
             self.feed.add(news.because([ExceptionKind::DuplicateTxNode]), at);
         }
     }
@@ -490,5 +514,7 @@ fn bits_of(frame: &WireFrame) -> u32 {
 }
 
 const INTERMISSION: u32 = 3;
+/// Who is asked who it is answers within this span.
+const PROBE: Duration = Duration::from_secs(1);
 /// How often silence and the like are looked for.
 const SWEEP: Duration = Duration::from_secs(1);

@@ -23,6 +23,10 @@ pub(crate) struct NodeSeen {
     pub(crate) status: Option<(NodeStatus, Instant)>,
     /// Who claims the TxNode, the latest first.
     claims: [Option<(NodeUid, Instant)>; 2],
+    /// Claims within a second that nobody asked for: since when, and how many.
+    claiming: (Instant, u8),
+    /// It has claimed its TxNode again and again.
+    insisted_at: Option<Instant>,
     pub(crate) exceptions: u64,
     pub(crate) restarts: u32,
     /// Statuses that one node would not have sent in a row; one that fits takes one away.
@@ -118,6 +122,8 @@ impl NodeSeen {
             rate: Rate::default(),
             status: None,
             claims: [None; 2],
+            claiming: (at, 0),
+            insisted_at: None,
             exceptions: 0,
             restarts: 0,
             disorder: 0,
@@ -138,6 +144,18 @@ impl NodeSeen {
     /// Returns whether its own status came lately.
     pub(crate) fn sends_status(&self, now: Instant) -> bool {
         self.status.is_some_and(|(_, at)| now.saturating_since(at) <= STATUS_SILENCE)
+    }
+
+    /// The node says that it has this UID, and nobody had asked for that. A node does so when it gets its TxNode, and
+    /// whenever it hears another one with it.
+    pub(crate) fn insist(&mut self, uid: NodeUid, at: Instant) {
+        let (since, count) = self.claiming;
+        let count = if at.saturating_since(since) <= INSISTING { count.saturating_add(1) } else { 1 };
+        self.claiming = (if count == 1 { at } else { since }, count);
+        if count >= CLAIMS {
+            self.insisted_at = Some(at);
+        }
+        self.claim(uid, at);
     }
 
     /// The node says that it has this UID.
@@ -161,7 +179,7 @@ impl NodeSeen {
         self.status = None;
     }
 
-    /// The two UIDs that claim this TxNode, or none if only its statuses tell of two nodes.
+    /// The two UIDs that claim this TxNode, or none if only what one of them sends tells of two nodes.
     pub(crate) fn duplicate(&self, now: Instant) -> Option<Option<(NodeUid, NodeUid)>> {
         if let [Some((one, at)), Some((other, before))] = self.claims
             && at.saturating_since(before) <= CLAIM
@@ -169,7 +187,8 @@ impl NodeSeen {
         {
             return Some(Some((one.min(other), one.max(other))));
         }
-        (self.disorder >= DISORDER && self.sends_status(now)).then_some(None)
+        let insists = self.insisted_at.is_some_and(|at| now.saturating_since(at) <= CLAIM);
+        (insists || self.disorder >= DISORDER && self.sends_status(now)).then_some(None)
     }
 
     pub(crate) fn on_status(&mut self, status: &NodeStatus, at: Instant) -> StatusNews {
@@ -218,6 +237,9 @@ const STATUS_SILENCE: Duration = Duration::from_secs(3);
 const SILENCE: Duration = Duration::from_secs(10);
 /// Claims of one TxNode by two UIDs within this span contradict each other.
 const CLAIM: Duration = Duration::from_secs(30);
+/// So many claims within this span are no start.
+const CLAIMS: u8 = 4;
+const INSISTING: Duration = Duration::from_secs(1);
 /// A status that CAN sends again comes within this span.
 const REPETITION: Duration = Duration::from_millis(20);
 /// Uptimes are told in seconds.

@@ -4,19 +4,26 @@ use std::collections::HashMap;
 use std::fmt;
 use std::path::Path;
 
-use cosmic_core::can::{BitRate, Etag, TxNode};
+use cosmic_core::calendar::Calendar;
+use cosmic_core::can::{BitRate, Etag, Payload, TxNode};
+use cosmic_core::event_layer::{
+    self as declared, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes,
+};
 use cosmic_core::time::Duration;
 use cosmic_core::{NodeUid, Subject};
-use cosmic_plan::cluster::{Channel, Class, Cluster, Node};
+use cosmic_plan::cluster::{Channel, Class, Cluster, Node, Recurrence};
+use cosmic_plan::contents::NotDecoded;
 use cosmic_plan::document::Source;
 use cosmic_plan::plan::{Effort, Plan, PlannedSlot, plan};
+
+use crate::decode::DecodedField;
 
 /// The description of a cluster with the calendar that was planned for it.
 #[derive(Clone, Debug)]
 pub struct SegmentPlan {
     cluster: Cluster,
     plan: Plan,
-    digest: u32,
+    calendar: Calendar,
     by_etag: HashMap<Etag, usize>,
     by_subject: HashMap<Subject, usize>,
     by_node: HashMap<TxNode, usize>,
@@ -64,11 +71,12 @@ impl SegmentPlan {
         };
         let plan = plan(&cluster, &Effort::default())
             .map_err(|_| refused("no calendar was found for this cluster"))?;
-        let digest = plan.calendar().map_err(|_| refused("its calendar is none"))?.digest();
-        Ok(Self::new(cluster, plan, digest))
+        let calendar = plan.calendar().map_err(|_| refused("its calendar is none"))?;
+        let calendar = calendar.with_priority_step(cluster.priority_step);
+        Ok(Self::new(cluster, plan, calendar))
     }
 
-    fn new(cluster: Cluster, plan: Plan, digest: u32) -> Self {
+    fn new(cluster: Cluster, plan: Plan, calendar: Calendar) -> Self {
         let channels = || cluster.channels.iter().enumerate();
         Self {
             by_etag: channels().filter_map(|(at, channel)| Some((channel.etag?, at))).collect(),
@@ -79,7 +87,7 @@ impl SegmentPlan {
             by_name: channels().map(|(at, channel)| (channel.name.clone(), at)).collect(),
             cluster,
             plan,
-            digest,
+            calendar,
         }
     }
 
@@ -95,7 +103,12 @@ impl SegmentPlan {
 
     /// The digest of the calendar, as sync frames carry it.
     pub fn digest(&self) -> u32 {
-        self.digest
+        self.calendar.digest()
+    }
+
+    /// The calendar, as nodes have it.
+    pub fn calendar(&self) -> Calendar {
+        self.calendar
     }
 
     /// The slots of the calendar, by phase.
@@ -153,6 +166,50 @@ impl SegmentPlan {
             longer => (u32::from(*longer) + 2).div_ceil(7),
         };
         publishers * f64::from(frames) * 1e9 / recurrence.span().as_ticks().max(1) as f64
+    }
+
+    /// The fields of an event of this channel: none if the description does not say what stands in it, or if it is a
+    /// message of several frames.
+    ///
+    /// # Errors
+    /// The bytes are no content of the channel.
+    pub fn decode(&self, channel: usize, bytes: &[u8]) -> Result<Vec<DecodedField>, NotDecoded> {
+        let channel = self.channel(channel);
+        let layout =
+            self.cluster.layout_of(channel).filter(|_| usize::from(channel.length) <= Payload::MAX_LEN);
+        let Some(layout) = layout else { return Ok(Vec::new()) };
+        Ok(layout.decode(bytes)?.into_iter().map(DecodedField::from).collect())
+    }
+
+    /// The channel as a program declares it that takes its content as bytes. `None` if the description contradicts the
+    /// protocol, which one that was read does not.
+    pub fn declare(&self, at: usize) -> Option<declared::Channel<Payload>> {
+        let planned = self.channel(at);
+        let subject = Subject::new(planned.subject)?;
+        let channel = match planned.class {
+            Class::Hard { .. } => {
+                let attributes = HardAttributes {
+                    period: planned.recurrence.span(),
+                    periodic: matches!(planned.recurrence, Recurrence::Periodic(_)),
+                    omission_degree: self.cluster.omission_degree(at)?,
+                };
+                let etag = planned.etag.filter(|etag| etag.is_hard())?;
+                return Some(declared::Channel::hard(subject, etag, attributes));
+            }
+            Class::Soft => {
+                let deadline = planned.deadline.unwrap_or(planned.recurrence.span());
+                let deadline = deadline.max(Duration::from_ticks(1));
+                let validity = planned.validity.unwrap_or(deadline).max(deadline);
+                declared::Channel::soft(subject, SoftAttributes { deadline, validity })
+            }
+            Class::NonRealTime { importance } => {
+                let importance = Importance::new(importance)?;
+                let attributes = NonRealTimeAttributes { importance, validity: planned.validity };
+                declared::Channel::non_real_time(subject, attributes)
+            }
+        };
+        let etag = planned.etag.filter(|etag| !etag.is_hard() && !etag.is_reserved());
+        Some(etag.map_or(channel, |etag| channel.with_etag(etag)))
     }
 
     /// The deadline of a soft real-time event from its publication.

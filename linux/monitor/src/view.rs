@@ -136,7 +136,7 @@ impl Monitor {
                 tx_node: last.tx_node.get(),
                 age_ns: ticks(now.saturating_since(last.at)),
                 data: last.payload.to_string(),
-                fields: Vec::new(),
+                fields: self.content(planned, last.payload.as_slice()).0,
             }),
             latency: seen.and_then(|seen| seen.latency.view()),
         }
