@@ -15,8 +15,6 @@ use cosmic_core::plan::NodePlan;
 use cosmic_core::time::Instant;
 use cosmic_rtic::CALENDAR_PRIORITY;
 use cosmic_rtic::board::{Board, BoardParts};
-use rtic_monotonics::Timebase as _;
-use rtic_monotonics::stm32::Priority;
 use stm32f4xx_hal::gpio::{GpioExt as _, Output, Pin};
 use stm32f4xx_hal::pac;
 use stm32f4xx_hal::rcc::{Config, Enable as _, Rcc, RccExt as _, Reset as _};
@@ -27,7 +25,7 @@ use crate::bxcan::{Controller, Parts};
 use crate::bxcan_rx::{OtherFrames, UrgentFrames};
 use crate::bxcan_status::{BusStatus, StatusChanges};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
-use crate::clock::{self, Mono};
+use crate::clock;
 
 /// A board that takes part in the traffic, and its parts, each for one owner. As a [`Board`] it is run by
 /// `cosmic-rtic`.
@@ -114,7 +112,7 @@ impl Stm32F405 {
     pub fn start(resources: Resources, node: &NodePlan) -> Result<Self, BoardError> {
         let bit_rate = node.calendar.segment().bit_rate;
         let settings = Settings { bit_rate, filters: node.filters.iter() };
-        Self::new(resources, settings, Priority::new(CALENDAR_PRIORITY))
+        Self::new(resources, settings, CALENDAR_PRIORITY)
     }
 
     /// Sets the clocks, starts the timer, and joins the bus.
@@ -122,26 +120,26 @@ impl Stm32F405 {
     /// Waits until the crystal runs and the bus has been recessive for 11 bits; call it before interrupts
     /// are enabled, as RTIC's `init` does.
     ///
-    /// `timer` is the priority of the timer's interrupt. No task of a higher one may read the clock: the
-    /// upper bits of the time are kept behind a lock that spins, and would spin for ever if such a task came
-    /// while the interrupt counts.
+    /// `timer` is the priority of the timer's interrupt, as RTIC counts. A task of a higher one must not wait for
+    /// the clock: it would be woken by a lower one.
     ///
     /// # Errors
     /// If the settings ask for what the controller cannot do.
     pub fn new<'a>(
         resources: Resources,
         settings: Settings<impl Iterator<Item = &'a FilterBank>>,
-        timer: Priority,
+        timer: u8,
     ) -> Result<Self, BoardError> {
         let timing = BitTiming::new(APB1, settings.bit_rate).ok_or(BoardError::BitRate)?;
         let clocks = Config::hse(Hertz::from_raw(CRYSTAL))
             .sysclk(Hertz::from_raw(CORE))
             .pclk1(Hertz::from_raw(APB1))
             .pclk2(Hertz::from_raw(APB2));
-        // The timer is given up for `Mono`, which reaches it by itself.
-        let Resources { rcc, port, can: _, timer: _ } = resources;
+        let Resources { rcc, port, can: _, timer: tim2 } = resources;
         let mut rcc = rcc.freeze(clocks);
-        Mono::start(rcc.clocks.timclk1().raw(), timer);
+        pac::TIM2::enable(&mut rcc);
+        pac::TIM2::reset(&mut rcc);
+        clock::start(tim2, TIMERS, timer);
 
         let port = port.split(&mut rcc);
         let points = MeasuringPoints {
@@ -197,8 +195,7 @@ impl Board for Stm32F405 {
 
     #[inline]
     async fn until(instant: Instant, other: impl Future<Output = ()>) {
-        // Either will do.
-        let _ = Mono::timeout_at(clock::timer(instant), other).await;
+        clock::until(instant, other).await;
     }
 
     fn split(self) -> BoardParts<Self> {
@@ -260,4 +257,6 @@ impl<const N: u8> MeasuringPoint<N> {
 const CRYSTAL: u32 = 8_000_000;
 const CORE: u32 = 168_000_000;
 const APB1: u32 = 42_000_000;
+/// The timers behind APB1 run at twice its frequency (RM0090, 7.2).
+const TIMERS: u32 = 2 * APB1;
 const APB2: u32 = 84_000_000;

@@ -14,7 +14,9 @@ mod fuzz;
 mod images;
 mod linux;
 mod new;
+mod panics;
 mod plan;
+mod program;
 mod qemu;
 mod run;
 mod setup;
@@ -56,6 +58,8 @@ enum Task {
     Bench(bench::Options),
     /// Print flash and RAM of each image, and the share of the middleware.
     Size(size::Options),
+    /// List the places of each image that can end in a panic.
+    Panics(panics::Options),
     /// Everything that must hold before a change goes in.
     Ci,
     /// Make a repository of your own: a cluster of two nodes that runs at once.
@@ -88,6 +92,7 @@ fn perform(task: Task, workspace: &Workspace) -> anyhow::Result<ExitCode> {
         Task::Test(options) => return suite::task(workspace, &options),
         Task::Bench(options) => return bench::task(workspace, &options),
         Task::Size(options) => size::task(workspace, &options)?,
+        Task::Panics(options) => panics::task(workspace, &options)?,
         Task::Ci => return ci::task(workspace),
         Task::New(options) => new::task(workspace, &options)?,
         Task::Fuzz(options) => return fuzz::task(workspace, &options),

@@ -56,12 +56,14 @@ impl BitRate {
     }
 
     /// The time of `count` bits.
-    #[expect(
-        clippy::arithmetic_side_effects,
-        reason = "a rate is not zero, and the product of 32 bits by 17 fits"
-    )]
+    #[expect(clippy::arithmetic_side_effects, reason = "the product of 32 bits by 17 fits")]
     pub const fn bits(self, count: u32) -> Duration {
-        Duration::from_ticks(count as u64 * (1_000_000_000 / self.0) as u64)
+        // A rate is not zero; the compiler need not know.
+        let bit_time = match 1_000_000_000_u32.checked_div(self.0) {
+            Some(nanoseconds) => nanoseconds,
+            None => 0,
+        };
+        Duration::from_ticks(count as u64 * bit_time as u64)
     }
 
     /// The longest time that a frame with `len` bytes takes, inter-frame space included.

@@ -17,7 +17,6 @@ mod app {
     use cosmic_core::can::filter_banks::{Fifo, FilterBank};
     use cosmic_core::can::{BitRate, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
     use cosmic_core::time::Duration;
-    use rtic_monotonics::stm32::Priority as TimerPriority;
 
     /// Hard real-time frames into the urgent FIFO, and all others into the other one.
     const FILTERS: [FilterBank; 2] = [
@@ -43,7 +42,7 @@ mod app {
     fn init(context: init::Context) -> (Shared, Local) {
         firmware::records::start(5);
         let settings = Settings { bit_rate: BitRate::MAX, filters: FILTERS.iter() };
-        let Ok(board) = Stm32F405::new(boards::resources!(context.device), settings, TimerPriority::new(5))
+        let Ok(board) = Stm32F405::new(boards::resources!(context.device), settings, 5)
         else {
             defmt::panic!("the settings ask for what the board cannot do");
         };

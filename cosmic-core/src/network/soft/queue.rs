@@ -121,7 +121,7 @@ impl<T, const N: usize> Queue<T, N> {
         }
         let last = self.len - 1;
         let rank = *self.ranks.get(at)?;
-        self.ranks.swap(at, last);
+        *self.ranks.get_mut(at)? = core::mem::replace(self.ranks.get_mut(last)?, rank);
         self.len = last;
         if at < last {
             self.sift_down(at);
