@@ -14,8 +14,8 @@
 use core::future::pending;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use cosmic_core::time::{Duration, Instant};
 use cortex_m::peripheral::NVIC;
+use cosmic_core::time::{Duration, Instant};
 use rtic_time::timer_queue::{TimerQueue, TimerQueueBackend};
 use stm32f4xx_hal::pac::{Interrupt, TIM2, tim2::RegisterBlock};
 

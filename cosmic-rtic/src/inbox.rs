@@ -5,8 +5,9 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 use cosmic_core::event_half::Input;
 use cosmic_core::time::Instant;
-use heapless::spsc::{Consumer, Producer, Queue};
-use rtic_sync::signal::{Signal, SignalReader, SignalWriter};
+
+use crate::signal::Signal;
+use crate::spsc::{Consumer, Producer, Queue};
 
 /// Something for the event-triggered half, and when it happened.
 #[derive(Clone, Copy, Debug)]
@@ -21,32 +22,32 @@ pub(crate) struct Queues {
     urgent: Queue<Item, 8>,
     outcomes: Queue<Item, 8>,
     notices: Queue<Item, 16>,
-    wake: Signal<()>,
-    wake_calendar: Signal<()>,
+    wake: Signal,
+    wake_calendar: Signal,
     lost: AtomicU32,
     times_off: AtomicU32,
 }
 
 /// The end of a queue that one interrupt or task writes.
 pub(crate) struct Sender {
-    queue: Producer<'static, Item>,
-    wake: SignalWriter<'static, ()>,
+    queue: Producer<Item>,
+    wake: &'static Signal,
     lost: &'static AtomicU32,
 }
 
 /// Counts how often the controller left the bus.
 pub(crate) struct BusOffSender {
-    wake: SignalWriter<'static, ()>,
+    wake: &'static Signal,
     times_off: &'static AtomicU32,
 }
 
 /// All that the event-triggered half receives.
 pub(crate) struct Inbox {
-    frames: Consumer<'static, Item>,
-    urgent: Consumer<'static, Item>,
-    outcomes: Consumer<'static, Item>,
-    notices: Consumer<'static, Item>,
-    wake: SignalReader<'static, ()>,
+    frames: Consumer<Item>,
+    urgent: Consumer<Item>,
+    outcomes: Consumer<Item>,
+    notices: Consumer<Item>,
+    wake: &'static Signal,
     lost: &'static AtomicU32,
     times_off: &'static AtomicU32,
 }
@@ -59,11 +60,10 @@ pub(crate) struct Ends {
     pub(crate) notices: Sender,
     pub(crate) bus_off: BusOffSender,
     /// Wakes the event-triggered half.
-    pub(crate) wake: SignalWriter<'static, ()>,
+    pub(crate) wake: &'static Signal,
     pub(crate) inbox: Inbox,
     /// Wakes the calendar task, to look at the slots again.
-    pub(crate) wake_calendar: SignalWriter<'static, ()>,
-    pub(crate) calendar_wakes: SignalReader<'static, ()>,
+    pub(crate) wake_calendar: &'static Signal,
 }
 
 impl Queues {
@@ -86,20 +86,18 @@ impl Queues {
         let (urgent_in, urgent) = self.urgent.split();
         let (outcomes_in, outcomes) = self.outcomes.split();
         let (notices_in, notices) = self.notices.split();
-        let (wake, reader) = self.wake.split();
-        let (wake_calendar, calendar_wakes) = self.wake_calendar.split();
+        let (wake, wake_calendar) = (&self.wake, &self.wake_calendar);
         let (lost, times_off) = (&self.lost, &self.times_off);
-        let sender = |queue| Sender { queue, wake: wake.clone(), lost };
+        let sender = |queue| Sender { queue, wake, lost };
         Ends {
             frames: sender(frames_in),
             urgent: sender(urgent_in),
             outcomes: sender(outcomes_in),
             notices: sender(notices_in),
-            bus_off: BusOffSender { wake: wake.clone(), times_off },
-            inbox: Inbox { frames, urgent, outcomes, notices, wake: reader, lost, times_off },
+            bus_off: BusOffSender { wake, times_off },
+            inbox: Inbox { frames, urgent, outcomes, notices, wake, lost, times_off },
             wake,
             wake_calendar,
-            calendar_wakes,
         }
     }
 }
@@ -108,10 +106,10 @@ impl Sender {
     /// Hands something over and wakes the receiver. When the queue is full it is lost, and counted.
     #[inline]
     pub(crate) fn send(&mut self, input: Input, at: Instant) {
-        if self.queue.enqueue(Item { input, at }).is_err() {
+        if !self.queue.put(Item { input, at }) {
             self.count_lost(1);
         }
-        self.wake.write(());
+        self.wake.raise();
     }
 
     /// Counts what was lost before it got here.
@@ -119,7 +117,7 @@ impl Sender {
     pub(crate) fn count_lost(&mut self, times: u32) {
         if times > 0 {
             self.lost.fetch_add(times, Ordering::Relaxed);
-            self.wake.write(());
+            self.wake.raise();
         }
     }
 }
@@ -127,11 +125,11 @@ impl Sender {
 impl BusOffSender {
     pub(crate) fn count(&mut self) {
         self.times_off.fetch_add(1, Ordering::Relaxed);
-        self.wake.write(());
+        self.wake.raise();
     }
 
     pub(crate) fn wake(&mut self) {
-        self.wake.write(());
+        self.wake.raise();
     }
 }
 
@@ -140,12 +138,12 @@ impl Inbox {
     #[inline]
     pub(crate) fn take(&mut self) -> Option<Item> {
         let Self { frames, urgent, outcomes, notices, .. } = self;
-        [outcomes, notices, urgent, frames].into_iter().find_map(Consumer::dequeue)
+        [outcomes, notices, urgent, frames].into_iter().find_map(Consumer::take)
     }
 
     /// Waits until something may have arrived.
-    pub(crate) async fn wait(&mut self) {
-        self.wake.wait().await;
+    pub(crate) fn wait(&mut self) -> impl Future<Output = ()> {
+        self.wake.wait()
     }
 
     /// How many things were lost because a queue or FIFO was full, since the last call.

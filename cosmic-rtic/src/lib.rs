@@ -38,6 +38,8 @@ mod inbox;
 pub mod messages;
 mod node;
 pub mod observer;
+mod signal;
+mod spsc;
 mod start;
 mod system;
 mod tasks;

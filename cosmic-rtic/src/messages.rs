@@ -147,7 +147,7 @@ impl<T: System> Node<T> {
             return Poll::Ready(Ok(()));
         }
         let sent = self.half.send_message(T::Board::now(), publisher);
-        self.wake.write(());
+        self.wake.raise();
         self.carry_out(sent?);
         if publisher.is_idle() {
             return Poll::Ready(Ok(()));

@@ -12,12 +12,12 @@ use cosmic_core::event_layer::{
     Policy, Publication, PublishError, SubscribeError, Subscription,
 };
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
-use rtic_sync::signal::SignalWriter;
 
 use crate::board::{Board, BusStatus as _, TxMailbox as _};
 use crate::inbox::Item;
 use crate::messages::Departures;
 use crate::observer::{Observer as _, Observes};
+use crate::signal::Signal;
 use crate::system::{self, Half, System};
 
 /// The event-triggered half of a node and what it drives: a shared resource of the event task and the
@@ -30,8 +30,8 @@ pub struct Node<T: System> {
     pub(crate) status: <T::Board as Board>::Status,
     pub(crate) errors: ErrorCounters,
     /// Wakes the event task.
-    pub(crate) wake: SignalWriter<'static, ()>,
-    pub(crate) wake_calendar: SignalWriter<'static, ()>,
+    pub(crate) wake: &'static Signal,
+    pub(crate) wake_calendar: &'static Signal,
     pub(crate) sync_period: Duration,
     /// When the clock was first seen to be synchronised, if it is.
     pub(crate) synchronised_since: Option<Instant>,
@@ -49,7 +49,7 @@ impl<T: System> Node<T> {
 
     /// Asks something of the services.
     pub fn ask_services<R>(&mut self, ask: impl FnOnce(&mut T::Services) -> R) -> R {
-        self.wake.write(());
+        self.wake.raise();
         ask(self.half.services_mut())
     }
 
@@ -97,7 +97,7 @@ impl<T: System> Node<T> {
         let now = T::Board::now();
         let result = self.half.publish(now, publication, event).map(|due| self.carry_out(due));
         // There may be more to do than could be done at once, or something to be done later.
-        self.wake.write(());
+        self.wake.raise();
         self.observer.published(channel, &event.content, now, result);
         result
     }
@@ -216,8 +216,8 @@ impl<T: System> Node<T> {
 
     /// The calendar task has other slots, and the services more to say.
     fn wake_both(&mut self) {
-        self.wake_calendar.write(());
-        self.wake.write(());
+        self.wake_calendar.raise();
+        self.wake.raise();
     }
 
     #[inline]

@@ -99,7 +99,7 @@ pub fn start_with<T: System>(
             hard: Hard::new(hard),
             mailbox,
             notices: ends.notices,
-            wakes: ends.calendar_wakes,
+            wakes: ends.wake_calendar,
             observer: calendar_observer,
         },
         urgent: Urgent { receiver: Receiver { fifo: urgent, hard: Hard::new(hard), frames: ends.urgent } },

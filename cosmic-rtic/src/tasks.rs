@@ -6,12 +6,12 @@ use cosmic_core::event_half::{HardAccess as _, Input};
 use cosmic_core::network::hard::CalendarStep;
 use cosmic_core::time::Instant;
 use rtic_core::Mutex;
-use rtic_sync::signal::SignalReader;
 
 use crate::board::{Board, BusChanges as _, RxFifo, TxMailbox as _, TxOutcomes as _};
 use crate::inbox::{BusOffSender, Inbox, Item, Sender};
 use crate::node::Node;
 use crate::observer::{CalendarObserver as _, Observer};
+use crate::signal::Signal;
 use crate::system::{Access, Dispatcher, System};
 
 /// The calendar dispatcher and the TTCH, for the task of the highest priority.
@@ -20,7 +20,7 @@ pub struct Calendar<T: System> {
     pub(crate) hard: Access<T>,
     pub(crate) mailbox: <T::Board as Board>::Hard,
     pub(crate) notices: Sender,
-    pub(crate) wakes: SignalReader<'static, ()>,
+    pub(crate) wakes: &'static Signal,
     pub(crate) observer: <T::Observer as Observer>::Calendar,
 }
 

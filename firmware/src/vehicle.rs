@@ -40,6 +40,14 @@ pub fn start(resources: Resources, node: NodePlan, storage: &'static mut Storage
     parts
 }
 
+/// What the plan has room for. If it has not, the log says so, and the task ends: the others go on.
+pub fn planned<T, E: defmt::Format>(result: Result<T, E>) -> Option<T> {
+    if let Err(error) = &result {
+        defmt::error!("a task ends: {}", error);
+    }
+    result.ok()
+}
+
 /// Shows what happens to events: by records, logs and measuring points.
 pub struct Reporter {
     records: Recorder<cosmic_rtt::Channel, CalendarReporter>,

@@ -13,6 +13,7 @@ use crate::demo;
 use crate::fuzz;
 use crate::images;
 use crate::linux;
+use crate::panics;
 use crate::plan;
 use crate::qemu;
 use crate::run::{self, step};
@@ -103,10 +104,10 @@ fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 }
 
 fn sizes(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let sizes = size::measure_all(
-        &images::firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])?.images,
-    )?;
+    let images = images::firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])?.images;
+    let sizes = size::measure_all(&images)?;
     print!("{}", size::table(&sizes));
+    panics::check(&images, false)?;
     size::check(workspace, &sizes)?;
     Ok(Tally::default())
 }

@@ -11,6 +11,7 @@ use serde_json::Value;
 
 use crate::plan;
 use crate::run::{self, step};
+use crate::setup;
 use crate::target::TargetWay;
 use crate::workspace::Workspace;
 
@@ -63,6 +64,15 @@ pub(crate) fn kept(
         *image = copy;
     }
     Ok((folder, built))
+}
+
+/// These ELF files, by their paths; if there are none, the images of the example's firmware, which are built.
+pub(crate) fn given_or_built(workspace: &Workspace, files: &[PathBuf]) -> Result<Images> {
+    if files.is_empty() {
+        let way = setup::prepare(&[])?;
+        return Ok(firmware(workspace, &way, &plan::find(plan::example(workspace))?, &[])?.images);
+    }
+    Ok(files.iter().map(|file| (file.display().to_string(), file.clone())).collect())
 }
 
 /// Builds programs of a package by a call of [`TargetWay::cargo`]: all if none is named.

@@ -1,4 +1,4 @@
-//! Which places of an image can end in a panic.
+//! Which places of an image can end in a panic, and how deep its stack gets.
 //!
 //! The image is what counts: a check that the compiler has proven needless is not in it. A place is a call of the
 //! panic machinery from code that is not of the machinery, or an instruction that ends the program. What only the
@@ -14,7 +14,6 @@ use clap::Args;
 use crate::images::{self, Images};
 use crate::program::{CallGraph, Frame, FunctionId, Program};
 use crate::run::step;
-use crate::setup;
 use crate::workspace::Workspace;
 
 /// Where to look.
@@ -52,12 +51,7 @@ struct Places {
 
 /// Builds the images and shows the places.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
-    let images = if options.files.is_empty() {
-        let way = setup::prepare(&[])?;
-        images::firmware(workspace, &way, None, &[])?.images
-    } else {
-        options.files.iter().map(|file| (file.display().to_string(), file.clone())).collect()
-    };
+    let images = images::given_or_built(workspace, &options.files)?;
     check(&images, options.all)
 }
 
@@ -69,12 +63,18 @@ pub(crate) fn check(images: &Images, all: bool) -> Result<()> {
     step("looking for places that can panic", || {
         let mut found = 0;
         for (name, path) in images {
-            let places = Places::of(&Program::read(path)?);
+            let program = Program::read(path)?;
+            let graph = CallGraph::of(&program);
+            let places = Places::of(&program, &graph);
+            let (stack, room) = (graph.worst_stack(), program.stack.len());
             println!(
-                "{name:<14} {} reached while it runs, {} at the start",
+                "{name:<14} {} reached while it runs, {} at the start; stack {stack} of {room} bytes at most",
                 places.running.len(),
                 places.at_start.len() + places.not_allowed.len()
             );
+            if stack as usize > room {
+                bail!("{name}: the stack may need {stack} bytes, and memory.x gives it {room}");
+            }
             show("while it runs", &places.running);
             show("at the start, in no function that is allowed to", &places.not_allowed);
             if all {
@@ -107,9 +107,8 @@ fn short(file: &str) -> &str {
 }
 
 impl Places {
-    fn of(program: &Program) -> Self {
-        let graph = CallGraph::of(program);
-        let machinery = machinery(program, &graph);
+    fn of(program: &Program, graph: &CallGraph) -> Self {
+        let machinery = machinery(program, graph);
         let running = graph.reachable(graph.handlers.iter().chain(&graph.taken).copied());
         let starting = graph.reachable(graph.reset);
         let mut places = Self::default();
@@ -118,6 +117,9 @@ impl Places {
         let traps = graph.traps.iter().map(|&(at, from)| (at, from, "a trap"));
         for (at, from, what) in calls.chain(traps) {
             let function = &program.functions[from.0];
+            if ANYWHERE.iter().any(|(allowed, _)| what.ends_with(allowed)) {
+                continue;
+            }
             if machinery.contains(&from) || IS_AN_END.contains(&function.name.as_str()) {
                 continue;
             }
@@ -181,8 +183,73 @@ const LIBRARIES: [&str; 3] = ["core", "alloc", "defmt"];
 /// Functions that end the program on purpose.
 const IS_AN_END: [&str; 3] = ["HardFault", "__udf", "DefaultHandler"];
 
+/// Panics that are allowed anywhere, and why.
+const ANYWHERE: [(&str, &str); 1] =
+    [("panic_const_async_fn_resumed", "the compiler's own: neither `.await` nor RTIC polls what has ended")];
+
 /// Functions in which a panic at the start is allowed, and why.
-const AT_START: [(&str, &str); 2] = [
+const AT_START: [(&str, &str); 3] = [
+    (
+        "stm32f4xx_hal::rcc::f4::pll",
+        "it solves for frequencies that are constants of the board: the same at each start",
+    ),
     ("::app::init", "a mistake in the settings shows at the first start, with its reason"),
     ("::app::main", "a mistake in the settings shows at the first start, with its reason"),
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The start calls `app::init`, which can panic, as can `other`; the handler calls `worker`, which can if `worker`
+    /// says so.
+    fn program(worker: &[u16]) -> Program {
+        // bl to the function `n` of 16 bytes each, from the first instruction of function `from`.
+        let call = |from: u32, to: u32| {
+            let offset = (i64::from(to) * 16 - (i64::from(from) * 16 + 2 + 4)) as u32;
+            [0xF000 | offset >> 12 & 0x3FF | (offset >> 24 & 1) << 10, 0xF800 | offset >> 1 & 0x7FF]
+                .map(|half| half as u16)
+        };
+        let push = 0xB580; // push {r7, lr}
+        let calls = |from, to| [[push].as_slice(), &call(from, to), &[0xBD80]].concat();
+        let worker = if worker.is_empty() { calls(3, 5) } else { worker.to_vec() };
+        let functions = [
+            ("Reset", calls(0, 2)),
+            ("CAN1_RX0", calls(1, 3)),
+            ("sensor::app::init", calls(2, 5)),
+            ("cosmic_core::worker", worker),
+            ("rust_begin_unwind", vec![0xDEFE]),
+            ("core::panicking::panic", calls(5, 4)),
+        ];
+        Program::of_parts(&functions, &[0x2000_4000, 1, 17])
+    }
+
+    fn places(program: &Program) -> Places {
+        Places::of(program, &CallGraph::of(program))
+    }
+
+    #[test]
+    fn a_panic_is_allowed_at_the_start_and_nowhere_else() {
+        let found = places(&program(&[]));
+        let names =
+            |places: &BTreeSet<Place>| places.iter().map(|it| it.function.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&found.running), ["cosmic_core::worker"]);
+        assert_eq!(names(&found.at_start), ["sensor::app::init"]);
+        assert_eq!(names(&found.not_allowed), [""; 0]);
+    }
+
+    #[test]
+    fn a_function_that_returns_is_no_place_and_a_trap_is() {
+        assert!(places(&program(&[0x4770])).running.is_empty());
+        let trap = places(&program(&[0xDEFE])).running;
+        assert_eq!(trap.iter().map(|it| it.what.as_str()).collect::<Vec<_>>(), ["a trap"]);
+    }
+
+    #[test]
+    fn the_stack_is_that_of_the_start_and_of_each_handler_on_it() {
+        // Reset, init, panic: 8 bytes each. The handler 8, and what it calls none, or 8 and panic's 8.
+        let graph = |worker: &[u16]| CallGraph::of(&program(worker)).worst_stack();
+        assert_eq!(graph(&[0x4770]), 24 + 8 + 108);
+        assert_eq!(graph(&[]), 24 + 24 + 108);
+    }
+}

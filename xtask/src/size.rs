@@ -18,9 +18,7 @@ use object::{Object as _, ObjectSection as _, SectionFlags, SectionKind, elf};
 use serde::{Deserialize, Serialize};
 
 use crate::images::{self, Images};
-use crate::plan;
 use crate::run::step;
-use crate::setup;
 use crate::workspace::Workspace;
 use baseline::Baseline;
 
@@ -59,12 +57,7 @@ pub(crate) type Sizes = std::collections::BTreeMap<String, ImageSize>;
 
 /// Builds the images and shows their sizes.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
-    let images = if options.files.is_empty() {
-        let way = setup::prepare(&[])?;
-        images::firmware(workspace, &way, &plan::find(plan::example(workspace))?, &[])?.images
-    } else {
-        options.files.iter().map(|file| (file.display().to_string(), file.clone())).collect()
-    };
+    let images = images::given_or_built(workspace, &options.files)?;
     let sizes = measure_all(&images)?;
     if options.json {
         println!("{}", serde_json::to_string_pretty(&sizes)?);

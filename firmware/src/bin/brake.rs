@@ -10,7 +10,7 @@ mod app {
     use firmware::cluster::plan::nodes;
     use firmware::cluster::{self, BrakeForce};
     use firmware::signals;
-    use firmware::vehicle::{Vehicle, start};
+    use firmware::vehicle::{Vehicle, planned, start};
 
     /// For each subscription.
     const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
@@ -91,9 +91,11 @@ mod app {
     #[task(shared = [node, disc], priority = 1)]
     async fn brake(mut context: brake::Context) {
         let brake::SharedResources { node, disc, .. } = &mut context.shared;
-        let brake_force = defmt::unwrap!(Publisher::announce(&cluster::BRAKE_FORCE, node));
+        let Some(brake_force) = planned(Publisher::announce(&cluster::BRAKE_FORCE, node)) else { return };
         synchronised(node).await;
-        let wheel_speed = defmt::unwrap!(Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node));
+        let Some(wheel_speed) = planned(Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node)) else {
+            return;
+        };
         let mut sequence = 0;
         loop {
             let event = wheel_speed.next(node).await;
@@ -111,7 +113,9 @@ mod app {
     #[task(shared = [node, disc], priority = 1)]
     async fn watch_temperature(mut context: watch_temperature::Context) {
         let watch_temperature::SharedResources { node, disc, .. } = &mut context.shared;
-        let temperature = defmt::unwrap!(Subscriber::subscribe(&cluster::TEMPERATURE, QUEUE, node));
+        let Some(temperature) = planned(Subscriber::subscribe(&cluster::TEMPERATURE, QUEUE, node)) else {
+            return;
+        };
         loop {
             let event = temperature.next(node).await;
             disc.lock(|disc| *disc = event.content.centidegrees);
@@ -121,7 +125,9 @@ mod app {
     #[task(shared = [node], priority = 1)]
     async fn watch_suspension(mut context: watch_suspension::Context) {
         let node = &mut context.shared.node;
-        let suspension = defmt::unwrap!(Subscriber::subscribe(&cluster::SUSPENSION, QUEUE, node));
+        let Some(suspension) = planned(Subscriber::subscribe(&cluster::SUSPENSION, QUEUE, node)) else {
+            return;
+        };
         loop {
             let event = suspension.next(node).await;
             defmt::trace!("{}", event.content);

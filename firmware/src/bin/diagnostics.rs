@@ -12,7 +12,7 @@ mod app {
     use firmware::cluster::plan::{channels, nodes};
     use firmware::cluster::{self, LogEntry, Suspension};
     use firmware::signals;
-    use firmware::vehicle::{Vehicle, start};
+    use firmware::vehicle::{Vehicle, planned, start};
 
     const SUSPENSION_PERIOD: Duration = channels::suspension::PERIOD;
     /// Codes of the logbook.
@@ -100,7 +100,7 @@ mod app {
     #[task(shared = [node], priority = 1)]
     async fn measure_suspension(mut context: measure_suspension::Context) {
         let node = &mut context.shared.node;
-        let suspension = defmt::unwrap!(Publisher::announce(&cluster::SUSPENSION, node));
+        let Some(suspension) = planned(Publisher::announce(&cluster::SUSPENSION, node)) else { return };
         let mut ticker = Ticker::<Stm32F405>::every(SUSPENSION_PERIOD);
         let mut sequence = 0;
         loop {
@@ -115,7 +115,7 @@ mod app {
     #[task(shared = [node, seen], priority = 1)]
     async fn write_logbook(mut context: write_logbook::Context) {
         let write_logbook::SharedResources { node, seen, .. } = &mut context.shared;
-        let logbook = defmt::unwrap!(Publisher::announce(&cluster::LOGBOOK, node));
+        let Some(logbook) = planned(Publisher::announce(&cluster::LOGBOOK, node)) else { return };
         let mut ticker = Ticker::<Stm32F405>::every(LOGBOOK_PERIOD);
         let mut sequence = 0;
         loop {
@@ -130,7 +130,9 @@ mod app {
     async fn watch_wheel(mut context: watch_wheel::Context) {
         let watch_wheel::SharedResources { node, seen, .. } = &mut context.shared;
         synchronised(node).await;
-        let wheel_speed = defmt::unwrap!(Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node));
+        let Some(wheel_speed) = planned(Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node)) else {
+            return;
+        };
         loop {
             let event = wheel_speed.next(node).await;
             seen.lock(|seen| *seen = (SPEED, event.content.speed));
@@ -140,7 +142,9 @@ mod app {
     #[task(shared = [node, seen], priority = 1)]
     async fn watch_brake(mut context: watch_brake::Context) {
         let watch_brake::SharedResources { node, seen, .. } = &mut context.shared;
-        let brake_force = defmt::unwrap!(Subscriber::subscribe(&cluster::BRAKE_FORCE, QUEUE, node));
+        let Some(brake_force) = planned(Subscriber::subscribe(&cluster::BRAKE_FORCE, QUEUE, node)) else {
+            return;
+        };
         loop {
             let event = brake_force.next(node).await;
             seen.lock(|seen| *seen = (FORCE, event.content.force));

@@ -11,7 +11,7 @@ mod app {
     use firmware::cluster::plan::{channels, nodes};
     use firmware::cluster::{self, Temperature, WheelSpeed};
     use firmware::signals;
-    use firmware::vehicle::{Vehicle, start};
+    use firmware::vehicle::{Vehicle, planned, start};
 
     /// A measurement is published this long before its slot.
     const LEAD: Duration = Duration::from_micros(500);
@@ -95,7 +95,7 @@ mod app {
         settled(node).await;
         // Announced shortly before the first event: from then on a slot without one is an error.
         before_slot(&channels::wheel_speed::SLOT, LEAD, node).await;
-        let publisher = defmt::unwrap!(Publisher::announce(&cluster::WHEEL_SPEED, node));
+        let Some(publisher) = planned(Publisher::announce(&cluster::WHEEL_SPEED, node)) else { return };
         let mut sequence = 0;
         loop {
             let content = WheelSpeed { sequence, speed: signals::wheel_speed(sequence), valid: true };
@@ -108,7 +108,7 @@ mod app {
     #[task(shared = [node], priority = 1)]
     async fn measure_temperature(mut context: measure_temperature::Context) {
         let node = &mut context.shared.node;
-        let publisher = defmt::unwrap!(Publisher::announce(&cluster::TEMPERATURE, node));
+        let Some(publisher) = planned(Publisher::announce(&cluster::TEMPERATURE, node)) else { return };
         let mut ticker = Ticker::<Stm32F405>::every(TEMPERATURE_PERIOD);
         let mut sequence = 0;
         loop {
@@ -123,7 +123,7 @@ mod app {
     async fn keep_logbook(mut context: keep_logbook::Context) {
         let node = &mut context.shared.node;
         let policy = Policy::Fifo(const { Depth::new(16).unwrap() });
-        let logbook = defmt::unwrap!(Subscriber::subscribe(&cluster::LOGBOOK, policy, node));
+        let Some(logbook) = planned(Subscriber::subscribe(&cluster::LOGBOOK, policy, node)) else { return };
         loop {
             let entry = logbook.next(node).await;
             defmt::debug!("node {}: {}", entry.publisher, entry.content);

@@ -42,8 +42,7 @@ mod app {
     fn init(context: init::Context) -> (Shared, Local) {
         firmware::records::start(5);
         let settings = Settings { bit_rate: BitRate::MAX, filters: FILTERS.iter() };
-        let Ok(board) = Stm32F405::new(boards::resources!(context.device), settings, 5)
-        else {
+        let Ok(board) = Stm32F405::new(boards::resources!(context.device), settings, 5) else {
             defmt::panic!("the settings ask for what the board cannot do");
         };
         let points = defmt::unwrap!(board.points);

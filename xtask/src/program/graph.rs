@@ -157,6 +157,13 @@ impl CallGraph {
         self.depth(root, &callees, behind, &mut HashMap::new(), &mut Vec::new())
     }
 
+    /// The bytes of stack that the program needs, at most: the start or the idle loop, and on it each handler once, with
+    /// what the core saves. Handlers of one priority do not interrupt each other, so it is less in truth.
+    pub(crate) fn worst_stack(&self) -> u32 {
+        let start = self.reset.map_or(0, |reset| self.stack(reset));
+        self.handlers.iter().fold(start, |sum, &handler| sum + self.stack(handler) + SAVED)
+    }
+
     fn callees(&self) -> Callees {
         let mut callees = Callees::new();
         for call in &self.calls {
@@ -197,5 +204,7 @@ fn entry(program: &Program, word: u32) -> Option<FunctionId> {
     (program.functions[at.0].start == word & !1).then_some(at)
 }
 
+/// An exception frame with floating point registers, aligned (ARMv7-M ARM, B1.5.7).
+const SAVED: u32 = 104 + 4;
 /// Words; what follows the last function is no pool.
 const LONGEST_POOL: usize = 1024;

@@ -42,6 +42,8 @@ pub(crate) struct Program {
     /// Where data begins and ends amidst code: address, and whether data follows.
     marks: BTreeMap<u32, bool>,
     lines: addr2line::Context<Reader>,
+    /// Where the stack may be.
+    pub(crate) stack: std::ops::Range<u32>,
 }
 
 struct Section {
@@ -98,7 +100,9 @@ impl Program {
             }
         }
         let lines = addr2line::Context::from_dwarf(dwarf(&file)?)?;
-        Ok(Self { functions: functions.into_values().collect(), sections, marks, lines })
+        let address = |name| file.symbol_by_name(name).map_or(0, |symbol| symbol.address() as u32);
+        let stack = address("_stack_end")..address("_stack_start");
+        Ok(Self { functions: functions.into_values().collect(), sections, marks, lines, stack })
     }
 
     /// The function at an address.
@@ -167,4 +171,31 @@ fn dwarf(file: &object::File<'_>) -> Result<gimli::Dwarf<Reader>> {
         Ok(gimli::EndianArcSlice::new(data.into(), endian))
     };
     gimli::Dwarf::load(load)
+}
+
+#[cfg(test)]
+impl Program {
+    /// A program of functions of 16 bytes each from address 0 on, and a table of vectors.
+    pub(crate) fn of_parts(functions: &[(&str, Vec<u16>)], vectors: &[u32]) -> Self {
+        let mut code = Vec::new();
+        let mut list = Vec::new();
+        for (number, (name, words)) in functions.iter().enumerate() {
+            let start = 16 * number as u32;
+            code.extend(words.iter().flat_map(|word| word.to_le_bytes()));
+            let end = code.len() as u32;
+            code.resize(16 * (number + 1), 0);
+            list.push(Function { start, end, name: (*name).to_owned() });
+        }
+        let table = vectors.iter().flat_map(|word| word.to_le_bytes()).collect();
+        let section =
+            |address, bytes, name: &str, is_code| Section { address, bytes, name: name.to_owned(), is_code };
+        let sections =
+            vec![section(0, code, ".text", true), section(0x800_0000, table, ".vector_table", false)];
+        let empty = |_| -> Result<Reader> {
+            Ok(gimli::EndianArcSlice::new(Vec::new().into(), gimli::RunTimeEndian::Little))
+        };
+        let lines =
+            gimli::Dwarf::load(empty).and_then(|dwarf| Ok(addr2line::Context::from_dwarf(dwarf)?)).unwrap();
+        Self { functions: list, sections, marks: BTreeMap::new(), lines, stack: 0..0 }
+    }
 }
