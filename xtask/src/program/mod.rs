@@ -121,7 +121,7 @@ impl Program {
         while let Ok(Some(frame)) = found.next() {
             let name = frame.function.as_ref().and_then(|name| name.raw_name().ok());
             let function =
-                name.map_or(String::new(), |name| format!("{:#}", rustc_demangle::demangle(&*name)));
+                name.map_or(String::new(), |name| format!("{:#}", rustc_demangle::demangle(&name)));
             let (file, line) =
                 frame.location.map_or(("", 0), |at| (at.file.unwrap_or(""), at.line.unwrap_or(0)));
             frames.push(Frame { function, file: file.to_owned(), line });
