@@ -60,13 +60,13 @@ fn what_a_fifo_or_a_queue_loses_becomes_exceptions() {
     urgent.run();
     run_events(&mut events, &node);
     assert_eq!(exceptions(&node, ExceptionKind::InputLost), 2);
-    // The queue of the urgent FIFO has seven places.
+    // The queue of the urgent FIFO has eight places.
     for _ in 0..3 {
         RECEIVED.with_borrow_mut(|received| received.extend([frame(1), frame(2), frame(3)]));
         urgent.run();
     }
     run_events(&mut events, &node);
-    assert_eq!(exceptions(&node, ExceptionKind::InputLost), 4);
+    assert_eq!(exceptions(&node, ExceptionKind::InputLost), 3);
 }
 
 #[test]
