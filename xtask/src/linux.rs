@@ -11,7 +11,8 @@ use crate::tally::Tally;
 use crate::target;
 use crate::workspace::Workspace;
 
-const PACKAGES: [&str; 2] = ["--package", "cosmic-linux"];
+const PACKAGES: [&str; 6] =
+    ["--package", "cosmic-linux", "--package", "cosmic-monitor", "--package", "cosmic-cli"];
 
 /// Runs their tests, those with python-can included.
 pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
@@ -19,17 +20,17 @@ pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast"]).args(PACKAGES);
     command.args(["--", "--include-ignored"]).env("COSMIC_PYTHON", python);
-    step("testing the node on Linux", || suite::cargo_test(&mut command))
+    step("testing what runs on Linux", || suite::cargo_test(&mut command))
 }
 
 /// Clippy and documentation.
 pub(crate) fn check(workspace: &Workspace) -> Result<Tally> {
     let mut clippy = workspace.cargo();
     clippy.args(["clippy", "--all-targets"]).args(PACKAGES).args(["--", "--deny", "warnings"]);
-    step("clippy on the node on Linux", || run::run(&mut clippy))?;
+    step("clippy on what runs on Linux", || run::run(&mut clippy))?;
     let mut documentation = workspace.cargo();
     documentation.args(["doc", "--no-deps"]).args(PACKAGES).env("RUSTDOCFLAGS", "--deny warnings");
-    step("documentation of the node on Linux", || run::run(&mut documentation))?;
+    step("documentation of what runs on Linux", || run::run(&mut documentation))?;
     Ok(Tally::default())
 }
 

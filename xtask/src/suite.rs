@@ -36,7 +36,7 @@ pub(crate) struct Options {
 enum Part {
     /// On this machine: what needs neither the Arm target nor an emulator
     Host,
-    /// The node on Linux and the gateway.
+    /// The node on Linux, the gateway, and the `cosmic` command.
     Linux,
     /// What the planner exports, with a C compiler, Python, cantools and Wireshark.
     Tools,

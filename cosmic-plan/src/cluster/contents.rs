@@ -5,7 +5,9 @@ use crate::contents::{ByteOrder, Decimal, FieldLayout, FieldType, Label, Layout,
 use crate::document::{At, FromNode, Kind, Log, Place, Problem, Table};
 #[cfg(feature = "cli")]
 use schemars::JsonSchema;
-use std::collections::{BTreeMap, HashMap};
+#[cfg(feature = "cli")]
+use std::collections::BTreeMap;
+use std::collections::HashMap;
 
 /// What stands in the bytes of an event. Several channels may have the same content.
 #[derive(Debug)]

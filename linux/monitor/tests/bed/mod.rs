@@ -145,10 +145,14 @@ impl Bed {
         }
     }
 
-    /// A station sends a frame, when its mailbox is free.
+    /// A station sends a frame, if one of its mailboxes is free.
     pub(crate) fn send(&mut self, station: StationId, frame: Frame) {
         let now = self.cluster.now();
-        let _ = self.cluster.bus().load(now, station, 0, frame.into());
+        for mailbox in 0..cosmic_bus::MAILBOXES {
+            if self.cluster.bus().load(now, station, mailbox, frame.into()).is_ok() {
+                return;
+            }
+        }
     }
 
     pub(crate) fn now(&self) -> Instant {

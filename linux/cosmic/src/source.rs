@@ -1,0 +1,229 @@
+//! Where frames come from: a link, or a log.
+
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use cosmic_core::can::BitRate;
+use cosmic_core::time::{self, Instant};
+use cosmic_linux::link::segment::SegmentLink;
+use cosmic_linux::link::slcan::Slcan;
+use cosmic_linux::link::socketcan::SocketCan;
+use cosmic_linux::link::socketcand::Socketcand;
+use cosmic_linux::{Link, LinkError, Port, Tap, Tapped, What};
+use cosmic_monitor::Monitor;
+
+use crate::arguments::LinkChoice;
+use crate::failure::Failure;
+use crate::log::{Entry, Reader};
+
+/// A link to a segment, of any kind.
+pub(crate) enum AnyLink {
+    Segment(SegmentLink),
+    Slcan(Slcan),
+    Socketcand(Socketcand),
+    SocketCan(SocketCan),
+}
+
+impl AnyLink {
+    /// The link that was chosen.
+    ///
+    /// # Errors
+    /// It is a log, or cannot have this bit rate.
+    pub(crate) fn new(choice: &LinkChoice, bit_rate: BitRate) -> Result<Self, Failure> {
+        Ok(match choice.clone() {
+            LinkChoice::Sim(path) => Self::Segment(SegmentLink::new(path)),
+            LinkChoice::Slcan(device) => {
+                let link = Slcan::new(device, bit_rate);
+                Self::Slcan(link.map_err(|why| Failure::input(why.to_string()))?)
+            }
+            LinkChoice::Socketcand { address, bus } => {
+                Self::Socketcand(Socketcand::new(address, bus, bit_rate))
+            }
+            LinkChoice::Can(interface) => Self::SocketCan(SocketCan::new(interface)),
+            LinkChoice::Log(_) => {
+                let what = "a log can only be listened to: give a link to a segment, such as --link sim:PATH";
+                return Err(Failure::input(what));
+            }
+        })
+    }
+}
+
+impl Link for AnyLink {
+    async fn run(&mut self, port: &Port) -> LinkError {
+        match self {
+            Self::Segment(link) => link.run(port).await,
+            Self::Slcan(link) => link.run(port).await,
+            Self::Socketcand(link) => link.run(port).await,
+            Self::SocketCan(link) => link.run(port).await,
+        }
+    }
+}
+
+/// Where frames come from.
+pub(crate) enum Source {
+    Live {
+        tap: Tap,
+        /// The clock of the wall when the tap's began.
+        began: Duration,
+        until: Option<tokio::time::Instant>,
+    },
+    Log {
+        reader: Reader,
+        /// The stamp of the first entry.
+        began: Option<Duration>,
+        latest: Instant,
+        /// Entries come at the distances that they had.
+        pace: Option<tokio::time::Instant>,
+        /// An entry whose time has not come.
+        waiting: Option<Tapped>,
+        has_ended: bool,
+    },
+}
+
+impl Source {
+    /// Opens a link or a log.
+    pub(crate) fn open(choice: &LinkChoice, bit_rate: BitRate) -> Result<Self, Failure> {
+        if let LinkChoice::Log(file) = choice {
+            let (began, waiting, pace, has_ended) = (None, None, None, false);
+            return Ok(Self::Log {
+                reader: Reader::open(file)?,
+                began,
+                latest: Instant::EPOCH,
+                pace,
+                waiting,
+                has_ended,
+            });
+        }
+        let tap = Tap::start(AnyLink::new(choice, bit_rate)?);
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Ok(Self::Live { tap, began: now, until: None })
+    }
+
+    /// Ends a live source after this span, from when it connects; a log is read to its end.
+    pub(crate) fn for_span(mut self, span: Option<time::Duration>) -> Self {
+        if let Self::Live { until, .. } = &mut self {
+            let span = span.map(|span| Duration::from_nanos(span.as_ticks()));
+            *until = span.and_then(|span| tokio::time::Instant::now().checked_add(span));
+        }
+        self
+    }
+
+    /// Lets a log pass as it did.
+    pub(crate) fn in_its_time(mut self) -> Self {
+        if let Self::Log { pace, .. } = &mut self {
+            *pace = Some(tokio::time::Instant::now());
+        }
+        self
+    }
+
+    /// Waits until a live source is connected.
+    ///
+    /// # Errors
+    /// It cannot be: why, and what to do.
+    pub(crate) async fn connected(&mut self, patience: Duration) -> Result<(), Failure> {
+        let Self::Live { tap, until, .. } = self else { return Ok(()) };
+        let begun = tokio::time::Instant::now();
+        let mut reason = "the link does not answer".to_owned();
+        loop {
+            let refused = |reason: &str| Err(Failure::link(format!("{reason}; look at the option --link")));
+            match tokio::time::timeout_at(begun + patience, tap.next()).await.map(|tapped| tapped.what) {
+                Ok(What::Connected) => break,
+                Ok(What::Disconnected { why, ends: true }) => return refused(&why.to_string()),
+                // A server may be about to start.
+                Ok(What::Disconnected { why, .. }) => reason = why.to_string(),
+                Ok(_) => {}
+                Err(_) => return refused(&reason),
+            }
+        }
+        *until = until.map(|until| until + begun.elapsed());
+        Ok(())
+    }
+
+    /// The next thing that happened; `None` at the end of the log or of the span, or when the user interrupts.
+    pub(crate) async fn next(&mut self) -> Option<Result<Tapped, Failure>> {
+        match self {
+            Self::Live { tap, until, .. } => {
+                if let Some(tapped) = tap.try_next() {
+                    // Not even a full bus keeps a span from ending.
+                    return until
+                        .is_none_or(|until| tokio::time::Instant::now() < until)
+                        .then_some(Ok(tapped));
+                }
+                tokio::select! {
+                    biased;
+                    _ = tokio::signal::ctrl_c() => None,
+                    () = sleep_until(*until) => None,
+                    tapped = tap.next() => Some(Ok(tapped)),
+                }
+            }
+            Self::Log { .. } => self.next_of_log().await,
+        }
+    }
+
+    async fn next_of_log(&mut self) -> Option<Result<Tapped, Failure>> {
+        let Self::Log { reader, began, latest, pace, waiting, has_ended } = self else { return None };
+        if waiting.is_none() {
+            let Some(entry) = reader.next() else {
+                *has_ended = true;
+                return None;
+            };
+            match entry {
+                Ok(Entry { stamp, what }) => {
+                    let since = stamp.saturating_sub(*began.get_or_insert(stamp));
+                    let ticks = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX / 2);
+                    let at = Instant::from_epoch(time::Duration::from_ticks(ticks)).max(*latest);
+                    *latest = at;
+                    *waiting = Some(Tapped { at, what });
+                }
+                Err(failure) => return Some(Err(failure)),
+            }
+        }
+        if let (Some(start), Some(tapped)) = (*pace, waiting.as_ref()) {
+            // When this wait is cancelled, the entry still waits.
+            tokio::time::sleep_until(start + Duration::from_nanos(tapped.at.since_epoch().as_ticks())).await;
+        }
+        waiting.take().map(Ok)
+    }
+
+    /// The clock of the wall at an instant of this source.
+    pub(crate) fn wall(&self, at: Instant) -> Duration {
+        let began = match self {
+            Self::Live { began, .. } => *began,
+            Self::Log { began, .. } => began.unwrap_or_default(),
+        };
+        began + Duration::from_nanos(at.since_epoch().as_ticks())
+    }
+
+    /// The present instant of this source.
+    pub(crate) fn now(&self) -> Instant {
+        match self {
+            Self::Live { tap, .. } => tap.now(),
+            // Behind the end of a log no time passes.
+            Self::Log { latest, pace: None, .. } | Self::Log { latest, has_ended: true, .. } => *latest,
+            Self::Log { latest, pace: Some(start), .. } => {
+                let ticks = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX / 2);
+                Instant::from_epoch(time::Duration::from_ticks(ticks)).max(*latest)
+            }
+        }
+    }
+}
+
+/// Sleeps until then, or for ever.
+pub(crate) async fn sleep_until(at: Option<tokio::time::Instant>) {
+    match at {
+        Some(at) => tokio::time::sleep_until(at).await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Hands what happened to a monitor. Says on standard error what a person should know of the link.
+pub(crate) fn feed(monitor: &mut Monitor, tapped: &Tapped) {
+    let at = tapped.at;
+    match &tapped.what {
+        What::Frame(frame) => monitor.on_frame(frame, at),
+        What::Foreign(frame) => monitor.on_foreign(frame.as_ref(), at),
+        What::Lost(frames) => monitor.on_lost(*frames, at),
+        What::Errors(errors) => monitor.on_errors(*errors, at),
+        What::BusOff => monitor.on_bus_off(at),
+        What::Connected | What::Disconnected { .. } | What::Malformed => {}
+    }
+}
