@@ -66,6 +66,9 @@ explain! {
              declared without context: shorten them, or send a message of several frames",
         Self::QueueFull =>
             "the queue towards the bus is full: publish less often, or make SOFT or NRT larger",
+        Self::TooFast =>
+            "events come more often than the channel's rate says: publish less often, or state a higher rate \
+             where the channel is declared",
     }
     NoRoom {
         Self => "the value is too large for its attribute, or the attributes do not fit in a frame: use fewer",
@@ -256,6 +259,14 @@ impl ExceptionKind {
             }
             Self::IdentifierLost => {
                 "an event that waited was discarded, because its channel lost its etag or the node its TxNode"
+            }
+            Self::RateExceeded => {
+                "an event was not taken, because its channel has a rate that it would exceed; the application \
+                 publishes too often"
+            }
+            Self::EventOverdue => {
+                "no event of a periodic channel has come for longer than its period and deadline; look at its \
+                 publisher and the load of the bus"
             }
         }
     }

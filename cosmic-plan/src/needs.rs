@@ -63,7 +63,7 @@ fn waiting_soft(channel: &Channel) -> usize {
     }
     let period = channel.recurrence.span().as_ticks().max(1);
     let valid = channel.validity.or(channel.deadline).unwrap_or(channel.recurrence.span());
-    let count = (valid.as_ticks() + channel.jitter.as_ticks()).div_ceil(period);
+    let count = (valid.as_ticks() + channel.tolerance().as_ticks()).div_ceil(period);
     usize::try_from(count).unwrap_or(MOST_PLACES).clamp(1, MOST_PLACES)
 }
 

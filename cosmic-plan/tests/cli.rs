@@ -12,6 +12,10 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
+fn text_of(output: &Output) -> String {
+    text(&output.stdout) + &text(&output.stderr)
+}
+
 fn json(output: &Output) -> serde_json::Value {
     serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {}", text(&output.stdout)))
 }
@@ -129,6 +133,28 @@ fn what_would_not_reach_the_image_is_refused() {
         assert_eq!(report["problems"].as_array().map(Vec::len), Some(1), "{report}");
         assert_eq!(report["problems"][0]["field"], field);
         assert!(report["problems"][0]["remedy"].as_str().is_some_and(|it| it.contains(remedy)), "{report}");
+    }
+}
+
+#[test]
+fn bursts_belong_to_sporadic_channels() {
+    let folder = folder("bursts");
+    let with = |replaced: &str, by: &str| {
+        let text = include_str!("../examples/vehicle.toml").replacen(replaced, by, 1);
+        let output = run(&["check", &file(&folder, "cluster.toml", &text)]);
+        (output.status.code(), text_of(&output))
+    };
+    let sporadic = "min_interarrival = \"10 ms\"";
+    assert_eq!(with(sporadic, &format!("{sporadic}\nburst = 2")).0, Some(0));
+    let wrong = [
+        (sporadic, "0", "no event at all"),
+        ("period = \"20 ms\"", "2", "a periodic channel has one event in every period"),
+        ("period = \"10 ms\"", "2", "a slot has one event"),
+    ];
+    for (field, burst, message) in wrong {
+        let (code, said) = with(field, &format!("{field}\nburst = {burst}"));
+        assert_eq!(code, Some(2));
+        assert!(said.contains(message), "{said}");
     }
 }
 

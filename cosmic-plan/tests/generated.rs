@@ -50,6 +50,7 @@ fn check(name: &str, plans: &[(&str, String)], code: &str) -> Result<(), String>
 #[test]
 fn plans_compile_and_their_channels_take_what_fits() {
     let brokered = EXAMPLE.replace("binding = \"static\"", "binding = \"broker\"");
+    let bursty = EXAMPLE.replace("min_interarrival = \"4 ms\"", "min_interarrival = \"4 ms\"\nburst = 3");
     let stepped = EXAMPLE.replace("[segment]", "[segment]\npriority_step = \"1 ms\"");
     let clockless = EXAMPLE.replace("sync_period = \"25 ms\"", "sync_period = \"0 s\"");
     let plans = [
@@ -59,6 +60,7 @@ fn plans_compile_and_their_channels_take_what_fits() {
         ("brokered", rendered(&brokered)),
         ("stepped", rendered(&stepped)),
         ("clockless", rendered(&clockless)),
+        ("bursty", rendered(&bursty)),
     ];
     assert!(plans[3].1.contains("etag: None") && !plans[0].1.contains("etag: None"));
     let code = r"
@@ -74,10 +76,34 @@ pub const ANGLE: Channel<u32> = first::channels::joint_angle::channel();
 const _: () = {
     assert!(stepped::CALENDAR.priority_step().as_ticks() == 1_000_000);
     assert!(stepped::CALENDAR.digest() == vehicle::CALENDAR.digest());
+    assert!(vehicle::channels::suspension::RATE.is_periodic());
+    assert!(vehicle::channels::suspension::RATE.interval().as_ticks() == 1_000_000);
+    assert!(!bursty::channels::logbook::RATE.is_periodic());
     assert!(vehicle::nodes::brake::NODE.sync.is_some() && clockless::nodes::brake::NODE.sync.is_none());
     assert!(matches!(vehicle::nodes::brake::RANK, Some(rank) if rank.get() == 1));
 };
 ";
+    let rates = [
+        (
+            0,
+            "channels::suspension",
+            "periodic(PERIOD).with_jitter(::cosmic_core::time::Duration::from_micros(200))",
+        ),
+        // No jitter is stated: a tenth of the period, 1 ms at most.
+        (
+            1,
+            "channels::motor_heat",
+            "periodic(PERIOD).with_jitter(::cosmic_core::time::Duration::from_millis(1))",
+        ),
+        (
+            6,
+            "channels::logbook",
+            "sporadic(MIN_INTERARRIVAL).with_burst(3).with_jitter(::cosmic_core::time::Duration::from_micros(400))",
+        ),
+    ];
+    for (plan, channel, rate) in rates {
+        assert!(plans[plan].1.contains(&format!("EventRate::{rate};")), "{channel}: {}", plans[plan].1);
+    }
     check("plans", &plans, code).unwrap_or_else(|said| panic!("{said}"));
 }
 

@@ -59,6 +59,26 @@ fn soft() -> impl Strategy<Value = Vec<(u64, u64)>> {
     prop::collection::vec((600_u64..9000, 500_u64..9000), 0..6)
 }
 
+#[test]
+fn a_burst_is_counted_as_the_frames_that_come_at_once() {
+    // One channel of 20 ms behind another one, of which 1, 2 or 3 events come at once: one frame more each.
+    let bound = |burst: u8| {
+        let text = format!(
+            "[segment]\nname = 's'\nbit_rate = '1 Mbit/s'\nclock_accuracy = '5 us'\nrelease_jitter = '5 us'\n\
+             sync_period = '0 s'\n\
+             [[node]]\nname = 'a'\nuid = 1\npublishes = ['slow']\n[[node]]\nname = 'b'\nuid = 2\npublishes = ['alarm']\n\
+             [[channel]]\nname = 'slow'\nsubject = 1\nclass = 'SRT'\nlength = 8\nperiod = '20 ms'\ndeadline = '10 ms'\n\
+             [[channel]]\nname = 'alarm'\nsubject = 2\nclass = 'SRT'\nlength = 8\nmin_interarrival = '50 ms'\n\
+             burst = {burst}\ndeadline = '5 ms'\n"
+        );
+        let cluster =
+            Cluster::read(&Source::new("burst.toml", text)).unwrap_or_else(|problems| panic!("{problems}"));
+        let plan = plan(&cluster, &EFFORT).unwrap();
+        assess(&cluster, &plan).channels[0].proof.bound.unwrap().as_micros()
+    };
+    assert_eq!([1, 2, 3].map(bound), [480, 640, 800]);
+}
+
 const EFFORT: Effort<'static> = Effort { limit: std::time::Duration::from_secs(2), watch: None };
 
 /// The cluster without one of its channels.

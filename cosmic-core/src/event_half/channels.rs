@@ -152,7 +152,11 @@ impl<
         quality: &Quality,
     ) -> Result<Due, PublishError> {
         let quality = if PLAIN { &Quality::PLAIN } else { quality };
-        match self.layer.publish(now, tag, payload, quality).map_err(|error| self.refuse(tag, error))? {
+        let published = match self.layer.publish(now, tag, payload, quality) {
+            Ok(published) => published,
+            Err(error) => return self.submit_otherwise(now, tag, payload, quality, error),
+        };
+        match published {
             Published::Hard(buffer, payload) => {
                 if self.hard.with(|buffers| buffers.publish(buffer, payload)) {
                     self.raise_replaced(tag, now);
@@ -167,6 +171,28 @@ impl<
                 let submitted = self.etch.submit_non_real_time(now, outgoing);
                 self.conclude(now, outgoing, submitted)
             }
+        }
+    }
+
+    /// The event is not published, unless that is only because its channel has a rate: then it is charged, and
+    /// submitted again.
+    #[cold]
+    fn submit_otherwise(
+        &mut self,
+        now: Instant,
+        tag: Tag,
+        payload: Payload,
+        quality: &Quality,
+        error: PublishError,
+    ) -> Result<Due, PublishError> {
+        match self.layer.open(now, tag) {
+            Ok(true) => {
+                let submitted = self.submit::<false>(now, tag, payload, quality);
+                self.layer.close(tag);
+                submitted
+            }
+            Ok(false) => Err(self.refuse(tag, now, error)),
+            Err(too_fast) => Err(self.refuse(tag, now, too_fast)),
         }
     }
 
@@ -230,8 +256,13 @@ impl<
         if !self.etch.has_room_for_non_real_time() {
             return Ok(Due::NOTHING);
         }
+        let first = publisher.is_at_first();
         let Some(fragment) = publisher.next() else { return Ok(Due::NOTHING) };
-        let published = self.publish(now, publisher.publication(), &Event::new(fragment));
+        let tag = publisher.publication().tag();
+        let charged =
+            self.layer.charge_message(now, tag, first).map_err(|error| self.refuse(tag, now, error));
+        let published =
+            charged.and_then(|()| self.publish(now, publisher.publication(), &Event::new(fragment)));
         published.inspect_err(|_| publisher.give_up())
     }
 
@@ -339,8 +370,11 @@ impl<
     }
 
     #[cold]
-    fn refuse(&mut self, tag: Tag, error: PublishError) -> PublishError {
+    fn refuse(&mut self, tag: Tag, now: Instant, error: PublishError) -> PublishError {
         self.layer.note_refusal(tag, false);
+        if error == PublishError::TooFast {
+            self.raise(self.layer.subject(tag), ExceptionKind::RateExceeded, now);
+        }
         error
     }
 

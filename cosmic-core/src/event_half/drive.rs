@@ -153,8 +153,13 @@ impl<
         self.wake_exception_handler();
     }
 
-    /// What is to be done now; at most one command a call. O(SOFT + NRT), and what the services need.
+    /// What is to be done now; at most one command a call. O(SOFT + NRT), what the services need, and O(CHANNELS)
+    /// for each channel of which an event is overdue.
     pub fn poll(&mut self, now: Instant) -> Step {
+        // Ends: each turn moves a channel's instant beyond now.
+        while let Some((subject, missed)) = self.layer.take_overdue(now) {
+            self.raise_times(Some(subject), ExceptionKind::EventOverdue, missed, now);
+        }
         loop {
             while let Some(request) = self.next_request(now) {
                 if let Some(command) = self.carry_out(request, now) {
@@ -166,7 +171,8 @@ impl<
                 // What was discarded has left room for the services.
                 soft::EtchStep::Incident(incident) => self.raise_soft(&incident, now),
                 soft::EtchStep::SleepUntil(instant) => {
-                    return Step::SleepUntil(instant.min(self.services_wakeup()));
+                    let due = self.services_wakeup().min(self.layer.next_overdue());
+                    return Step::SleepUntil(instant.min(due));
                 }
             }
         }

@@ -4,10 +4,12 @@ use super::attributes::{Attributes, HardAttributes, NonRealTimeAttributes, SoftA
 use super::content::Content;
 use super::filter::Filter;
 use super::pool::List;
+use super::rate::{EventRate, Guard};
 use crate::can::{Etag, Id, Priority, TxNode};
 use crate::network::hard::BufferId;
 use crate::network::soft::Tag;
 use crate::protocol::LayoutHash;
+use crate::time::Instant;
 use crate::uid::Subject;
 use core::marker::PhantomData;
 use core::task::Waker;
@@ -48,6 +50,8 @@ pub(crate) struct Declared {
     pub(crate) layout: LayoutHash,
     /// Bytes of an event, with the byte of presence of a channel with context.
     pub(crate) len: usize,
+    /// How often events come, if that is stated.
+    pub(crate) rate: Option<EventRate>,
 }
 
 impl<C: Content> Channel<C> {
@@ -74,8 +78,15 @@ impl<C: Content> Channel<C> {
 
     const fn new(subject: Subject, attributes: Attributes) -> Self {
         assert!(C::LEN <= crate::can::Payload::MAX_LEN, "a frame carries at most eight bytes");
-        let declared =
-            Declared { subject, attributes, etag: None, context: false, layout: C::LAYOUT, len: C::LEN };
+        let declared = Declared {
+            subject,
+            attributes,
+            etag: None,
+            context: false,
+            layout: C::LAYOUT,
+            len: C::LEN,
+            rate: None,
+        };
         Self { declared, content: PhantomData }
     }
 
@@ -109,6 +120,14 @@ impl<C: Content> Channel<C> {
     /// The channel, whose frames are pieces of something with this layout.
     pub(super) const fn in_pieces_of(self, layout: LayoutHash) -> Self {
         Self { declared: Declared { layout, ..self.declared }, ..self }
+    }
+
+    /// The channel, whose events come this often: its publishers are held to it, and subscribers of a periodic soft
+    /// real-time channel are told if an event does not come. Not for a hard real-time one: its calendar says so.
+    pub const fn with_rate(self, rate: EventRate) -> Self {
+        let is_hard = matches!(self.declared.attributes, Attributes::Hard(_));
+        assert!(!is_hard, "the rate of a hard real-time channel stands in the calendar");
+        Self { declared: Declared { rate: Some(rate), ..self.declared }, ..self }
     }
 
     pub(crate) const fn declared(&self) -> Declared {
@@ -208,14 +227,40 @@ pub(super) const NONE: u8 = u8::MAX;
 pub(super) struct Entry {
     pub(super) declared: Declared,
     pub(super) etag: Option<Etag>,
-    /// What the frames of its events are called.
+    /// What the frames of its events are called. Closed if the channel has a rate, and then with the guard.
     pub(super) outlet: Outlet,
+    pub(super) guard: Guard,
+    /// When the next event of a periodic channel is overdue here, if it does not come.
+    pub(super) overdue_at: Instant,
     pub(super) announcements: u8,
     pub(super) subscriptions: u8,
     pub(super) first_subscription: u8,
     /// The HRT-MB through which this node publishes.
     pub(super) buffer: Option<BufferId>,
     pub(super) counters: ChannelCounters,
+}
+
+impl Entry {
+    /// A channel that nobody uses yet.
+    pub(super) fn new(declared: &Declared, guard: Guard) -> Self {
+        Self {
+            declared: *declared,
+            etag: None,
+            outlet: Outlet::CLOSED,
+            guard,
+            overdue_at: Instant::FAR_FUTURE,
+            announcements: 0,
+            subscriptions: 0,
+            first_subscription: NONE,
+            buffer: None,
+            counters: ChannelCounters::default(),
+        }
+    }
+
+    /// Returns whether the node publishes on the channel or subscribes to it.
+    pub(super) const fn is_used(&self) -> bool {
+        self.announcements > 0 || self.subscriptions > 0
+    }
 }
 
 /// The identifier of the frames that this node publishes on a channel, but for the priority; or nothing, as
@@ -228,6 +273,10 @@ impl Outlet {
 
     pub(super) const fn new(tx_node: TxNode, etag: Etag) -> Self {
         Self(Id::new(Priority::HARD, tx_node, etag).raw())
+    }
+
+    pub(super) const fn is_closed(self) -> bool {
+        self.0 == Self::CLOSED.0
     }
 
     /// With this priority.
@@ -248,6 +297,8 @@ pub struct ChannelCounters {
     pub published: u32,
     /// Events that were not taken; [`publish`](crate::EventHalf::publish) has said why.
     pub refused: u32,
+    /// Of these, events that came more often than the channel's rate says.
+    pub too_fast: u32,
     /// Of the published, soft and non real-time ones that have been sent.
     pub sent: u32,
     /// Of the published, soft and non real-time ones that expired before they were sent.

@@ -86,6 +86,10 @@ exception_kinds! {
     EventOverwritten = "event overwritten before it was fetched",
     /// Publisher: an event that waited was discarded, because its channel lost its etag or the node its TxNode.
     IdentifierLost = "identifier lost",
+    /// Publisher: events came more often than their channel's rate says, and were not taken.
+    RateExceeded = "event rate exceeded",
+    /// Subscriber: no event of a periodic soft real-time channel has come by the time at which it was due.
+    EventOverdue = "periodic event overdue",
 }
 
 impl ExceptionKind {

@@ -9,6 +9,7 @@ use super::content::Content;
 use super::delivery::{Accepted, Delivered, Received, decode};
 use super::filter::{Context, Filter};
 use super::pool::{Pool, PoolFull};
+use super::rate::Guard;
 use crate::can::{Etag, Frame, TxNode};
 use crate::network::hard::BufferId;
 use crate::network::id_map::IdMap;
@@ -61,6 +62,8 @@ pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const E
     pool: Pool<EVENTS>,
     subscribers: [Subscriber; SUBSCRIPTIONS],
     pub(super) channels: [Option<Entry>; CHANNELS],
+    /// No event is overdue before this instant.
+    pub(super) first_overdue: Instant,
 }
 
 impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
@@ -79,6 +82,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             by_etag: IdMap::new(),
             subscribers: [Subscriber::VACANT; SUBSCRIPTIONS],
             pool: Pool::new(),
+            first_overdue: Instant::FAR_FUTURE,
         }
     }
 
@@ -163,6 +167,9 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             }
         }
         entry.subscriptions = entry.subscriptions.saturating_sub(1);
+        if entry.subscriptions == 0 {
+            entry.overdue_at = Instant::FAR_FUTURE;
+        }
         entry.counters.delivered = entry.counters.delivered.wrapping_add(gone.delivered);
         let last = (entry.subscriptions == 0).then_some(entry.declared);
         self.update(gone.channel);
@@ -215,15 +222,19 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if next == NONE {
             return Accepted::Foreign;
         }
-        let counters = &mut entry.counters;
         let mut context = Context::EMPTY;
         if entry.declared.context {
             let Some((carried, _)) = Context::split(&frame.payload) else {
-                counters.malformed = counters.malformed.wrapping_add(1);
+                entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
                 return Accepted::Malformed(entry.declared.subject);
             };
             context = carried;
         }
+        if let Some(patience) = entry.declared.patience() {
+            entry.note_arrival(patience, received_at);
+            self.first_overdue = self.first_overdue.min(entry.overdue_at);
+        }
+        let counters = &mut entry.counters;
         let mut accepted = Accepted::Delivered;
         while let Some(subscriber) = self.subscribers.get_mut(usize::from(next)) {
             next = subscriber.next;
@@ -298,7 +309,10 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     /// The subject has no etag any more: nothing is published or received on its channel. O(CHANNELS).
     pub(crate) fn unbind(&mut self, subject: Subject) {
         let Some(at) = self.find(subject) else { return };
-        let former = self.entry_mut(at as u8).and_then(|entry| entry.etag.take());
+        let former = self.entry_mut(at as u8).and_then(|entry| {
+            entry.overdue_at = Instant::FAR_FUTURE;
+            entry.etag.take()
+        });
         if let Some(former) = former {
             self.by_etag.remove(key(former));
         }
@@ -320,6 +334,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             let counters = &mut entry.counters;
             counters.refused = counters.refused.wrapping_add(1);
             counters.published = counters.published.wrapping_sub(was_counted.into());
+            entry.refund();
         }
     }
 
@@ -374,37 +389,42 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         self.channels.iter().position(is_it)
     }
 
-    fn entry_mut(&mut self, at: u8) -> Option<&mut Entry> {
+    pub(super) fn entry_mut(&mut self, at: u8) -> Option<&mut Entry> {
         self.channels.get_mut(usize::from(at))?.as_mut()
     }
 
     /// The entry of a channel, made if there is none.
     #[allow(clippy::indexing_slicing, reason = "the place was found or is free, by its number")]
     fn enter(&mut self, declared: &Declared) -> Result<u8, AnnounceError> {
-        if let Some(at) = self.find(declared.subject) {
-            let same = self.channels[at].as_ref().is_some_and(|entry| entry.declared == *declared);
-            return if same { Ok(at as u8) } else { Err(AnnounceError::Contradiction) };
+        let found = self.find(declared.subject);
+        let former = found.and_then(|at| self.channels[at].as_ref());
+        if let (Some(at), Some(entry)) = (found, former)
+            && entry.is_used()
+        {
+            return if entry.declared == *declared {
+                Ok(at as u8)
+            } else {
+                Err(AnnounceError::Contradiction)
+            };
         }
-        let at = self.channels.iter().position(Option::is_none).ok_or(AnnounceError::TooManyChannels)?;
+        let guard = former.map_or(Guard::NEW, |entry| entry.guard);
+        let vacant = |entry: &Option<Entry>| entry.is_none();
+        let unused = |entry: &Option<Entry>| entry.as_ref().is_some_and(|entry| !entry.is_used());
+        let at = found
+            .or_else(|| self.channels.iter().position(vacant))
+            .or_else(|| self.channels.iter().position(unused))
+            .ok_or(AnnounceError::TooManyChannels)?;
         if let Some(etag) = declared.etag
             && self.route_of(etag).is_some()
         {
             return Err(AnnounceError::EtagInUse);
         }
-        self.channels[at] = Some(Entry {
-            declared: *declared,
-            etag: None,
-            outlet: Outlet::CLOSED,
-            announcements: 0,
-            subscriptions: 0,
-            first_subscription: NONE,
-            buffer: None,
-            counters: ChannelCounters::default(),
-        });
+        let before = self.channels[at].take();
+        self.channels[at] = Some(Entry::new(declared, guard));
         if let Some(etag) = declared.etag
             && let Err(error) = self.name(at as u8, etag)
         {
-            self.channels[at] = None;
+            self.channels[at] = before;
             return Err(error);
         }
         Ok(at as u8)
@@ -430,11 +450,15 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     /// Something has changed that decides where frames of a channel go, or what they are called.
     fn update(&mut self, at: u8) {
         let Some(Some(entry)) = self.channels.get_mut(usize::from(at)) else { return };
-        entry.outlet = match (self.tx_node, entry.etag) {
+        let outlet = match (self.tx_node, entry.etag) {
             (Some(tx_node), Some(etag)) if entry.announcements > 0 => Outlet::new(tx_node, etag),
             _ => Outlet::CLOSED,
         };
-        let plain = entry.subscriptions == 1 && !entry.declared.context;
+        let guarded = entry.declared.rate.is_some();
+        entry.outlet = if guarded { Outlet::CLOSED } else { outlet };
+        entry.guard.outlet = if guarded { outlet } else { Outlet::CLOSED };
+        let awaited = entry.declared.patience().is_some();
+        let plain = entry.subscriptions == 1 && !entry.declared.context && !awaited;
         let only = if plain { entry.first_subscription } else { NONE };
         if let Some(etag) = entry.etag {
             // It is there already, so there is a place.
@@ -443,12 +467,16 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         }
     }
 
+    /// The channel is free if nothing holds it any more. One whose events were charged stays, without its etag, until
+    /// its place is needed: announced again, it has no fresh bucket.
     fn forget_unused(&mut self, at: u8) {
         let Some(place) = self.channels.get_mut(usize::from(at)) else { return };
-        let unused = |entry: &mut Entry| entry.announcements == 0 && entry.subscriptions == 0;
-        if let Some(entry) = place.take_if(unused)
-            && let Some(etag) = entry.etag
-        {
+        let Some(entry) = place.as_mut().filter(|entry| !entry.is_used()) else { return };
+        let etag = entry.etag.take();
+        if !entry.guard.is_in_use() {
+            *place = None;
+        }
+        if let Some(etag) = etag {
             self.by_etag.remove(key(etag));
         }
     }

@@ -18,7 +18,7 @@
 //! );
 //! ```
 
-use super::{Channel, Content, Delivered, NonRealTimeAttributes, Publication, Subscription};
+use super::{Channel, Content, Delivered, EventRate, NonRealTimeAttributes, Publication, Subscription};
 use crate::can::{Etag, Frame, Id, Payload, Priority};
 use crate::network::fragments::{
     Fragmenter, MAX_MESSAGE_LEN, Message, Reassembler, ReassemblyCounters, StartError,
@@ -61,6 +61,11 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageChannel<C, LE
     /// As [`Channel::with_layout`].
     pub const fn with_layout(self, layout: LayoutHash) -> Self {
         Self { fragments: self.fragments.with_layout(layout), ..self }
+    }
+
+    /// As [`Channel::with_rate`]; a message counts as one event, however many frames it has.
+    pub const fn with_rate(self, rate: EventRate) -> Self {
+        Self { fragments: self.fragments.with_rate(rate), ..self }
     }
 
     /// The channel as its frames are published: each carries a piece of a message.
@@ -135,6 +140,11 @@ impl<const LEN: usize> MessagePublisher<LEN> {
             self.fragmenter.on_sent();
         }
         self.seen = (sent, discarded);
+    }
+
+    /// Returns whether the next frame is the first of its message.
+    pub(crate) fn is_at_first(&self) -> bool {
+        self.fragmenter.is_at_first()
     }
 
     pub(crate) fn next(&mut self) -> Option<Payload> {

@@ -11,6 +11,7 @@ mod layer;
 mod messages;
 mod pool;
 mod publish;
+mod rate;
 pub use messages::{MessageChannel, MessagePublisher, MessageSubscriber};
 
 pub use crate::protocol::Class;
@@ -23,6 +24,7 @@ pub use exception::{Exception, ExceptionKind};
 pub use filter::{Attribute, Context, Filter, NoRoom};
 pub use layer::{AnnounceError, EventLayer, SubscribeError};
 pub use publish::{Event, PublishError, Published};
+pub use rate::EventRate;
 
 pub(crate) use channel::Declared;
 pub(crate) use delivery::{Accepted, Received};

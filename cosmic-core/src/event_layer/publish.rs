@@ -29,6 +29,8 @@ pub enum PublishError {
     TooLong,
     /// The queue towards the bus is full.
     QueueFull,
+    /// Events come more often than the channel's [rate](super::EventRate) says. The bus is protected from that.
+    TooFast,
 }
 
 /// An event as an application publishes it.
@@ -171,7 +173,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 }
 
 impl Entry {
-    /// Why nothing can be published.
+    /// Why nothing can be published, as far as is known without the channel's rate.
     #[cold]
     const fn why_closed(&self) -> PublishError {
         if self.announcements == 0 { PublishError::NotAnnounced } else { PublishError::NotBound }

@@ -211,7 +211,7 @@ impl Traffic {
         let mut soft = Vec::new();
         let mut non_real_time = Vec::new();
         for (at, channel) in cluster.channels.iter().enumerate() {
-            let (period, jitter) = (channel.recurrence.span().as_ticks(), channel.jitter.as_ticks());
+            let (period, jitter) = (channel.recurrence.span().as_ticks(), channel.tolerance().as_ticks());
             for node in (0..cluster.nodes.len()).filter(|n| cluster.nodes[*n].publishes.contains(&at)) {
                 let stream = Stream { transmission: ours(channel.length), period, jitter };
                 match &channel.class {

@@ -140,8 +140,13 @@ pub struct ChannelTable {
     pub period: Option<At<PositiveSpan>>,
     /// Events come at least this far apart. Either this or `period`.
     pub min_interarrival: Option<At<PositiveSpan>>,
+    /// SRT, NRT with `min_interarrival`: so many events may come at once, and then one every `min_interarrival`;
+    /// 1 if not given.
+    #[cfg_attr(feature = "cli", schemars(range(min = 1)))]
+    pub burst: Option<At<u8>>,
     /// SRT, NRT: how late an event may be published after its nominal instant. HRT: how far the spacing
-    /// of slots may deviate from the period if no calendar exists otherwise. Zero if not given.
+    /// of slots may deviate from the period if no calendar exists otherwise. Zero if not given; the publisher's
+    /// node then lets an event be late by a tenth of its period, 1 ms at most, all the same.
     pub jitter: Option<At<Span>>,
     /// HRT: delivery at the latest, from the start of each period; the end of the period if not given.
     /// SRT: from publication; must be given. NRT: optional.
@@ -340,6 +345,7 @@ fn read_channel(table: &Table<'_>, log: &Log) -> ChannelTable {
         length: table.optional("length"),
         period: table.optional("period"),
         min_interarrival: table.optional("min_interarrival"),
+        burst: table.optional("burst"),
         jitter: table.optional("jitter"),
         deadline: table.optional("deadline"),
         validity: table.optional("validity"),

@@ -123,15 +123,29 @@ pub struct Channel {
     pub content: Option<usize>,
     /// How events follow each other.
     pub recurrence: Recurrence,
+    /// Soft and non real-time: how many events may come at once.
+    pub burst: u8,
     /// Soft and non real-time: how late an event may be published after its nominal instant. Hard
     /// real-time: how far the spacing of slots may deviate from the period.
     pub jitter: Duration,
+    /// Soft and non real-time: the jitter that the publisher's node allows. It is [`jitter`](Self::jitter); or, if the
+    /// file gives none, a tenth of the recurrence, 1 ms at most, so that a task that is a little late is not refused.
+    pub allowed_jitter: Duration,
     /// Hard real-time: delivery at the latest, from the start of each period. Soft: from publication.
     pub deadline: Option<Duration>,
     /// After this span an event is worthless and is discarded.
     pub validity: Option<Duration>,
     /// The class with what only it has.
     pub class: Class,
+}
+
+impl Channel {
+    /// Soft and non real-time: how far events may come before their nominal instants, at worst: jitter, and what a burst
+    /// takes. Both are one to an analysis: in any span t there are at most ⌈(t + this) / span of recurrence⌉ events.
+    pub fn tolerance(&self) -> Duration {
+        let further = u64::from(self.burst.saturating_sub(1));
+        Duration::from_ticks(self.jitter.as_ticks() + further * self.recurrence.span().as_ticks())
+    }
 }
 
 /// The class of a channel.

@@ -63,6 +63,11 @@ impl<const LEN: usize> Fragmenter<LEN> {
         self.state == State::Idle
     }
 
+    /// Returns whether nothing of the message has been given out.
+    pub(crate) const fn is_at_first(&self) -> bool {
+        self.sequence == 0 && self.done == 0
+    }
+
     /// Messages of which a frame was discarded, so that nobody received them.
     pub const fn discarded(&self) -> u32 {
         self.discarded

@@ -1,11 +1,12 @@
 //! From the tables of a file to a cluster that can only be valid.
 
+mod recurrence;
 mod segment;
 
 use super::contents::Contents;
 use super::format::{self, ChannelTable, ClusterFile, ForeignTable, NodeTable};
 use super::values::{BindingName, ClassName};
-use super::{After, Binding, Channel, Class, Cluster, Foreign, Node, Pool, Recurrence, Wishes, dbc};
+use super::{After, Binding, Channel, Class, Cluster, Foreign, Node, Pool, Wishes, dbc};
 use crate::analysis::errors::ErrorModel;
 use crate::contents::Layout;
 use crate::document::{At, Log, Place, Problem, Problems, Source, nearest};
@@ -119,6 +120,8 @@ impl Checker<'_> {
             etag: None,
             length,
             content,
+            burst: self.burst(table, &field),
+            allowed_jitter: recurrence::allowed_jitter(table, recurrence),
             recurrence,
             jitter: table.jitter.as_ref().map_or(ZERO, |at| at.value.0),
             deadline,
@@ -176,27 +179,6 @@ impl Checker<'_> {
             self.problem(&at.place, field("importance"), what, help);
         }
         at.value
-    }
-
-    fn recurrence(&self, table: &ChannelTable, field: &dyn Fn(&str) -> String) -> Recurrence {
-        match (&table.period, &table.min_interarrival) {
-            (Some(period), None) => Recurrence::Periodic(period.value.0),
-            (None, Some(distance)) => Recurrence::Sporadic(distance.value.0),
-            (None, None) if self.is_malformed(table, &["period", "min_interarrival"]) => {
-                Recurrence::Periodic(UNKNOWN_PERIOD)
-            }
-            (None, None) => {
-                let help = "write period = \"10 ms\", or min_interarrival = \"10 ms\" for sporadic events";
-                self.problem(&start_of(&table.place), field("period"), "is missing", help);
-                Recurrence::Periodic(UNKNOWN_PERIOD)
-            }
-            (Some(period), Some(distance)) => {
-                let what = "stands beside period";
-                let help = "keep one: period for periodic events, min_interarrival for sporadic ones";
-                self.problem(&distance.place, field("min_interarrival"), what, help);
-                Recurrence::Periodic(period.value.0)
-            }
-        }
     }
 
     /// Fields that mean nothing in the class, and spans that contradict each other.

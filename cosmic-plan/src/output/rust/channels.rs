@@ -57,6 +57,10 @@ fn write_channel(
         Recurrence::Sporadic(_) => ("Events come at least this far apart.", "MIN_INTERARRIVAL"),
     };
     constant(doc, name, DURATION, duration(channel.recurrence.span()))?;
+    if let Some(value) = rate(channel) {
+        let doc = "How often events come at most: what a publisher is held to.";
+        constant(doc, "RATE", "::cosmic_core::event_layer::EventRate", value)?;
+    }
     if let [slot] = slots {
         let value = format!("super::super::SLOTS[{slot}]");
         constant("Its slot in the calendar.", "SLOT", "::cosmic_core::calendar::Slot", value)?;
@@ -85,11 +89,13 @@ fn write_constructor(
             )?;
             writeln!(out, "        pub type MessageChannel<C> = {general}<C, LENGTH, {publishers}>;")?;
             "MessageChannel".clone_into(&mut of);
-            format!("{general}::new(SUBJECT, ATTRIBUTES){etag}")
+            format!("{general}::new(SUBJECT, ATTRIBUTES).with_rate(RATE){etag}")
         }
         Class::Hard { .. } => format!("{of}::hard(SUBJECT, ETAG, ATTRIBUTES)"),
-        Class::Soft => format!("{of}::soft(SUBJECT, ATTRIBUTES){etag}"),
-        Class::NonRealTime { .. } => format!("{of}::non_real_time(SUBJECT, ATTRIBUTES){etag}"),
+        Class::Soft => format!("{of}::soft(SUBJECT, ATTRIBUTES).with_rate(RATE){etag}"),
+        Class::NonRealTime { .. } => {
+            format!("{of}::non_real_time(SUBJECT, ATTRIBUTES).with_rate(RATE){etag}")
+        }
     };
     write_docs(out, layout, &of)?;
     writeln!(out, "        pub const fn channel<C: {CORE}::event_layer::Content>() -> {of}<C> {{")?;
@@ -127,6 +133,25 @@ fn write_docs(out: &mut String, layout: Option<&Layout>, of: &str) -> std::fmt::
         "        /// The channel, for content that was written in Rust or is taken as bytes. It does not"
     )?;
     writeln!(out, "        /// compile if its fields have other types than those of the description.")
+}
+
+/// The rate of a soft or non real-time channel; that of a hard one stands in the calendar.
+fn rate(channel: &Channel) -> Option<String> {
+    if matches!(channel.class, Class::Hard { .. }) {
+        return None;
+    }
+    let of = format!("{CORE}::event_layer::EventRate");
+    let mut rate = match channel.recurrence {
+        Recurrence::Periodic(_) => format!("{of}::periodic(PERIOD)"),
+        Recurrence::Sporadic(_) => format!("{of}::sporadic(MIN_INTERARRIVAL)"),
+    };
+    if channel.burst > 1 {
+        rate += &format!(".with_burst({})", channel.burst);
+    }
+    if !channel.allowed_jitter.is_zero() {
+        rate += &format!(".with_jitter({})", duration(channel.allowed_jitter));
+    }
+    Some(rate)
 }
 
 fn attributes(channel: &Channel, degree: Option<u8>) -> (String, String) {

@@ -241,12 +241,6 @@ impl<S: Services> Node<S> {
                 let Ok(frame) = Frame::try_from(frame) else { return };
                 let Some(input) = receive(&frame, stamp, running.half.hard_mut()) else { return };
                 running.half.on_input(&input, stamp);
-                if !frame.id.etag().is_reserved() {
-                    // Nothing else than the queues of the subscribers can have changed.
-                    self.notify(now);
-                    self.execute(bus, now);
-                    return;
-                }
             }
             EventKind::Sent { mailbox } => self.on_outcome(mailbox, Outcome::Sent, stamp),
             EventKind::Withdrawn { mailbox } => self.on_outcome(mailbox, Outcome::Withdrawn, stamp),

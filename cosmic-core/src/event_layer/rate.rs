@@ -1,0 +1,396 @@
+//! How often events of a channel come: what a publisher announces, and what its node holds it to.
+//!
+//! A soft or non real-time channel may state its *event rate* (COSMIC section III-A asks for it). The publisher's
+//! node then takes no more events than that, so an application that runs wild harms its own channel and not the
+//! bus; and a subscriber of a periodic soft real-time channel is told of an event that does not come.
+//!
+//! What is enforced is what an analysis counts: a channel of the interval T, jitter J and bursts of b events is
+//! published at most `b − 1 + ⌈(t + J) / T⌉` times in any span t. It is a token bucket in one instant: the
+//! *nominal* instant of the next event, which each event moves on by T from itself or from now, whichever is
+//! later. An event may come before its nominal instant by the tolerance J + (b − 1) T, and not earlier.
+//!
+//! ```
+//! use cosmic_core::event_layer::EventRate;
+//! use cosmic_core::time::Duration;
+//!
+//! const HEAT: EventRate = EventRate::periodic(Duration::from_millis(20)).with_jitter(Duration::from_micros(200));
+//! const ALARM: EventRate = EventRate::sporadic(Duration::from_millis(100)).with_burst(3);
+//! ```
+//!
+//! Local clocks run a little fast or slow. So the publisher is allowed a [4096th](EventRate::interval) more than it
+//! announced, and a subscriber waits a little longer than one interval.
+
+use super::attributes::{Attributes, SoftAttributes};
+use super::channel::{Declared, Entry, Outlet};
+use super::layer::EventLayer;
+use super::publish::PublishError;
+use crate::network::soft::Tag;
+use crate::time::{Duration, Instant};
+use crate::uid::Subject;
+
+/// How often events of a channel come.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct EventRate {
+    interval: Duration,
+    /// How far before its nominal instant an event may come: jitter, and what a burst takes.
+    tolerance: Duration,
+    periodic: bool,
+}
+
+impl EventRate {
+    /// The longest interval and the longest tolerance.
+    pub const LONGEST: Duration = Duration::from_secs(3600 * 24 * 3660);
+
+    /// One event in every period.
+    pub const fn periodic(period: Duration) -> Self {
+        Self { periodic: true, ..Self::sporadic(period) }
+    }
+
+    /// Events come at least this far apart.
+    pub const fn sporadic(min_interarrival: Duration) -> Self {
+        assert!(!min_interarrival.is_zero(), "events do not come infinitely often");
+        assert!(
+            min_interarrival.as_ticks() <= Self::LONGEST.as_ticks(),
+            "more than ten years between events"
+        );
+        Self { interval: min_interarrival, tolerance: Duration::from_ticks(0), periodic: false }
+    }
+
+    /// An event may be published this much later than its nominal instant, so the next one comes sooner behind it.
+    #[must_use]
+    pub const fn with_jitter(self, jitter: Duration) -> Self {
+        self.with_more_tolerance(jitter.as_ticks())
+    }
+
+    /// So many events may come at once, and then one every interval: one at least.
+    #[must_use]
+    pub const fn with_burst(self, events: u8) -> Self {
+        assert!(events >= 1, "a burst has one event at least");
+        assert!(!self.periodic || events == 1, "a periodic channel has one event in every period");
+        self.with_more_tolerance(self.interval.as_ticks().saturating_mul((events as u64).saturating_sub(1)))
+    }
+
+    const fn with_more_tolerance(self, ticks: u64) -> Self {
+        let tolerance = self.tolerance.as_ticks().saturating_add(ticks);
+        assert!(tolerance <= Self::LONGEST.as_ticks(), "jitter and burst of more than ten years");
+        Self { tolerance: Duration::from_ticks(tolerance), ..self }
+    }
+
+    /// The period, or the least distance of two events.
+    pub const fn interval(&self) -> Duration {
+        self.interval
+    }
+
+    /// Returns whether every interval has an event.
+    pub const fn is_periodic(&self) -> bool {
+        self.periodic
+    }
+
+    /// The interval as it is enforced: shorter, by what two oscillators may differ.
+    const fn enforced(&self) -> Duration {
+        let ticks = self.interval.as_ticks();
+        Duration::from_ticks(ticks.saturating_sub(ticks / CLOCKS_DIFFER))
+    }
+
+    /// From one event to the instant at which the next is overdue, if each is sent by its deadline.
+    const fn patience(&self, quality: &SoftAttributes) -> Duration {
+        let ticks = self.interval.as_ticks();
+        let slack = (ticks / CLOCKS_DIFFER).saturating_add(self.tolerance.as_ticks());
+        let deadline = quality.deadline.as_ticks();
+        Duration::from_ticks(ticks.saturating_add(slack).saturating_add(deadline))
+    }
+}
+
+/// What holds the events of a channel at one publisher to its rate.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Guard {
+    /// What the frames of its events are called, as long as the node may publish.
+    pub(super) outlet: Outlet,
+    /// The nominal instant of the next event.
+    nominal: Instant,
+    /// An event that is being published has been charged, and is given back if it comes to nothing.
+    charged: bool,
+    /// The next event belongs to a message that has been charged as a whole.
+    prepaid: bool,
+}
+
+impl Guard {
+    /// With a full bucket.
+    pub(super) const NEW: Self =
+        Self { outlet: Outlet::CLOSED, nominal: Instant::EPOCH, charged: false, prepaid: false };
+
+    /// Charges an event, or says that it comes too early. O(1).
+    fn charge(&mut self, rate: &EventRate, now: Instant) -> bool {
+        let interval = rate.enforced();
+        let ahead = self.nominal.saturating_since(now);
+        // No event brings the nominal instant further ahead, so the clock has gone back. The bucket is empty then,
+        // but fills as always.
+        let most = Duration::from_ticks(interval.as_ticks().saturating_add(rate.tolerance.as_ticks()));
+        let ahead = ahead.min(most);
+        let nominal = now + ahead;
+        let conforms = ahead <= rate.tolerance;
+        self.nominal = if conforms { nominal + interval } else { nominal };
+        self.charged = conforms;
+        conforms
+    }
+
+    /// Returns whether an event was ever charged: then a channel that is given up and announced again goes on from
+    /// here, and has no fresh bucket.
+    pub(super) fn is_in_use(&self) -> bool {
+        self.nominal > Instant::EPOCH
+    }
+
+    /// Gives back what was charged for an event that was not published after all.
+    fn refund(&mut self, rate: &EventRate) {
+        if core::mem::take(&mut self.charged) {
+            self.nominal = self.nominal.saturating_sub(rate.enforced());
+        }
+    }
+}
+
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
+    EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>
+{
+    /// Nothing can be published on the channel: but if that is only for its rate, it is charged for one event and opened
+    /// for it, until [`close`](Self::close). A channel with a rate is closed otherwise, so that the others need not ask
+    /// whether they have one.
+    pub(crate) fn open(&mut self, now: Instant, tag: Tag) -> Result<bool, PublishError> {
+        self.entry_mut(tag.0).map_or(Ok(false), |entry| entry.open(now))
+    }
+
+    /// The event for which the channel was opened has been published, or not.
+    pub(crate) fn close(&mut self, tag: Tag) {
+        if let Some(entry) = self.entry_mut(tag.0) {
+            entry.outlet = Outlet::CLOSED;
+        }
+    }
+
+    /// The next event of the channel is a frame of a message: charges the whole message with its first, if the
+    /// channel has a rate.
+    pub(crate) fn charge_message(&mut self, now: Instant, tag: Tag, first: bool) -> Result<(), PublishError> {
+        self.entry_mut(tag.0).map_or(Ok(()), |entry| entry.charge_message(now, first))
+    }
+
+    /// When an event is overdue, if none comes before. It may be early.
+    pub(crate) const fn next_overdue(&self) -> Instant {
+        self.first_overdue
+    }
+
+    /// A channel of which events are overdue, and how many; call until it returns `None`. O(CHANNELS), but O(1)
+    /// before [`next_overdue`](Self::next_overdue).
+    pub(crate) fn take_overdue(&mut self, now: Instant) -> Option<(Subject, u32)> {
+        if now < self.first_overdue {
+            return None;
+        }
+        let mut entries = self.channels.iter_mut().flatten();
+        let found = entries.find_map(|entry| match entry.take_overdue(now) {
+            0 => None,
+            missed => Some((entry.declared.subject, missed)),
+        });
+        if found.is_none() {
+            let all = self.channels.iter().flatten().map(|entry| entry.overdue_at);
+            self.first_overdue = all.fold(Instant::FAR_FUTURE, Instant::min);
+        }
+        found
+    }
+}
+
+impl Declared {
+    /// How long a subscriber of a periodic soft channel waits for the next event; `None` for other channels.
+    pub(super) const fn patience(&self) -> Option<Duration> {
+        match (self.rate, &self.attributes) {
+            (Some(rate), Attributes::Soft(quality)) if rate.periodic => Some(rate.patience(quality)),
+            _ => None,
+        }
+    }
+}
+
+impl Entry {
+    /// Opens the outlet of a channel with a rate for one event, which is charged for it. Returns whether it did; or that
+    /// the event comes too early.
+    fn open(&mut self, now: Instant) -> Result<bool, PublishError> {
+        if self.guard.outlet.is_closed() || !self.outlet.is_closed() {
+            return Ok(false);
+        }
+        self.guard.charged = false;
+        if !core::mem::take(&mut self.guard.prepaid) {
+            self.charge_event(now)?;
+        }
+        self.outlet = self.guard.outlet;
+        Ok(true)
+    }
+
+    /// The next event is a frame of a message, which is charged as one event, with its first frame.
+    pub(super) fn charge_message(&mut self, now: Instant, first: bool) -> Result<(), PublishError> {
+        if first {
+            self.charge_event(now)?;
+        }
+        self.guard.prepaid = true;
+        Ok(())
+    }
+
+    fn charge_event(&mut self, now: Instant) -> Result<(), PublishError> {
+        let Some(rate) = self.declared.rate else { return Ok(()) };
+        if self.guard.charge(&rate, now) {
+            return Ok(());
+        }
+        self.counters.too_fast = self.counters.too_fast.wrapping_add(1);
+        Err(PublishError::TooFast)
+    }
+
+    pub(super) fn refund(&mut self) {
+        if let Some(rate) = self.declared.rate {
+            self.guard.refund(&rate);
+        }
+    }
+
+    /// Takes note that an event of a channel whose events are awaited has come.
+    pub(super) fn note_arrival(&mut self, patience: Duration, received_at: Instant) {
+        self.overdue_at = received_at + patience;
+    }
+
+    /// How many events have not come by now that should have.
+    pub(super) fn take_overdue(&mut self, now: Instant) -> u32 {
+        let Some(rate) = self.declared.rate else { return 0 };
+        if now < self.overdue_at || self.overdue_at == Instant::FAR_FUTURE {
+            return 0;
+        }
+        let late = now.saturating_since(self.overdue_at).as_ticks();
+        let more = late.checked_div(rate.interval.as_ticks()).unwrap_or(0);
+        let missed = more.saturating_add(1);
+        let passed = rate.interval.as_ticks().saturating_mul(missed);
+        // At the end of the time scale it stays there.
+        let next = self.overdue_at.since_epoch().as_ticks().saturating_add(passed);
+        self.overdue_at = Instant::from_epoch(Duration::from_ticks(next));
+        u32::try_from(missed).unwrap_or(u32::MAX)
+    }
+}
+
+/// Two local clocks differ by no more than one tick in so many: 244 ppm.
+const CLOCKS_DIFFER: u64 = 4096;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const fn us(microseconds: u64) -> Duration {
+        Duration::from_micros(microseconds)
+    }
+
+    fn at(microseconds: u64) -> Instant {
+        Instant::from_epoch(us(microseconds))
+    }
+
+    fn taken(rate: &EventRate, instants: &[u64]) -> std::vec::Vec<bool> {
+        let mut guard = Guard::NEW;
+        instants.iter().map(|&now| guard.charge(rate, at(now))).collect()
+    }
+
+    #[test]
+    fn events_on_the_boundary() {
+        let interval = us(4096);
+        let sporadic = EventRate::sporadic(interval);
+        // A 4096th of the interval is for the clocks.
+        assert_eq!(taken(&sporadic, &[0, 4094, 4095, 8189, 8190]), [true, false, true, false, true]);
+        let jittery = EventRate::periodic(interval).with_jitter(us(100));
+        // Nominally at 0, 4095, 8190, ...; up to 100 us early, but never two in one tolerance.
+        assert_eq!(taken(&jittery, &[0, 3994, 3995, 8089, 8090]), [true, false, true, false, true]);
+        // After an event that was late the next may be on time again.
+        assert_eq!(taken(&jittery, &[0, 4195, 8190, 8191]), [true, true, true, false]);
+    }
+
+    #[test]
+    fn bursts_fill_again_one_by_one() {
+        let rate = EventRate::sporadic(us(4096)).with_burst(3);
+        assert_eq!(
+            taken(&rate, &[0, 0, 0, 0, 4092, 4093, 4094]),
+            [true, true, true, false, false, true, false]
+        );
+        // After a long silence there are three again, not more.
+        assert_eq!(taken(&rate, &[0, 1 << 40, 1 << 40, 1 << 40, 1 << 40]), [true, true, true, true, false]);
+    }
+
+    #[test]
+    fn a_clock_that_is_set_back_neither_blocks_nor_opens_the_channel() {
+        let rate = EventRate::sporadic(us(4096)).with_burst(2);
+        let mut guard = Guard::NEW;
+        assert!(guard.charge(&rate, at(1 << 50)));
+        // Back to the start: as after a full burst, and one interval later the first event.
+        assert!(!guard.charge(&rate, at(10)));
+        assert!(!guard.charge(&rate, at(10 + 4094)));
+        assert!(guard.charge(&rate, at(10 + 4095)));
+        assert!(!guard.charge(&rate, at(10 + 4096)));
+    }
+
+    #[test]
+    fn at_the_end_of_the_time_scale_the_channel_stays_usable() {
+        let rate = EventRate::sporadic(us(4096));
+        let mut guard = Guard::NEW;
+        let last = Instant::FAR_FUTURE.saturating_sub(us(10));
+        assert!(guard.charge(&rate, last));
+        // The nominal instant has wrapped. At worst one event more is taken, and then the rate holds again.
+        assert!(guard.charge(&rate, at(5000)));
+        assert!(!guard.charge(&rate, at(5001)));
+    }
+
+    #[test]
+    fn what_was_not_published_is_given_back() {
+        let rate = EventRate::sporadic(us(4096));
+        let mut guard = Guard::NEW;
+        assert!(guard.charge(&rate, at(0)));
+        guard.refund(&rate);
+        assert!(guard.charge(&rate, at(1)));
+        assert!(!guard.charge(&rate, at(2)));
+        guard.refund(&rate);
+        assert!(!guard.charge(&rate, at(3)), "nothing was charged for the one that was refused");
+    }
+
+    proptest! {
+        /// What an analysis counts: at most `b - 1 + ceil((t + J) / T)` in any span t, whatever is asked for.
+        #[test]
+        fn no_span_has_more_than_the_rate_allows(
+            interval in 1_u64..5000,
+            jitter in 0_u64..10_000,
+            burst in 1_u8..5,
+            gaps in prop::collection::vec(prop_oneof![0_u64..3, 0_u64..9000], 1..80),
+        ) {
+            let rate = EventRate::sporadic(Duration::from_ticks(interval))
+                .with_jitter(Duration::from_ticks(jitter))
+                .with_burst(burst);
+            let enforced = rate.enforced().as_ticks();
+            let mut guard = Guard::NEW;
+            let (mut now, mut taken) = (1_000_000_u64, std::vec::Vec::new());
+            for gap in gaps {
+                now += gap;
+                if guard.charge(&rate, Instant::from_epoch(Duration::from_ticks(now))) {
+                    taken.push(now);
+                }
+            }
+            let tolerance = jitter + u64::from(burst - 1) * interval;
+            for (first, from) in taken.iter().enumerate() {
+                for (last, until) in taken.iter().enumerate().skip(first) {
+                    let (events, span) = (last - first + 1, until - from + 1);
+                    let most = (span + tolerance).div_ceil(enforced);
+                    prop_assert!(events as u64 <= most, "{events} in {span}, at most {most}");
+                }
+            }
+        }
+
+        /// An application that keeps its rate is never refused, late as it may be now and then.
+        #[test]
+        fn who_keeps_the_rate_is_never_refused(
+            interval in 10_000_u64..50_000,
+            lates in prop::collection::vec(0_u64..3000, 1..200),
+        ) {
+            let rate = EventRate::periodic(Duration::from_ticks(interval)).with_jitter(Duration::from_ticks(3000));
+            let mut guard = Guard::NEW;
+            for (number, late) in (0_u64..).zip(lates) {
+                // Its clock runs 200 ppm fast.
+                let now = number * (interval - interval / 5000) + late;
+                prop_assert!(guard.charge(&rate, Instant::from_epoch(Duration::from_ticks(now))));
+            }
+        }
+    }
+}
