@@ -50,6 +50,10 @@ explain! {
         Self::NotInCalendar =>
             "the calendar has no slot of this node with this etag, period and omission degree that is long \
              enough: plan the channel, or announce it as it was planned",
+        Self::OutsidePlan =>
+            "the cluster is sealed, and its plan does not have this channel, or not this node as its publisher: \
+             change the plan",
+        Self::ReservedSubject => "the subject FFFFFFFFFFFFFFFF is the broker's own: choose another one",
         Self::TooManySlots => "the node has no room for another slot of the calendar: make SLOTS larger",
     }
     PublishError {
@@ -263,6 +267,23 @@ impl ExceptionKind {
             Self::RateExceeded => {
                 "an event was not taken, because its channel has a rate that it would exceed; the application \
                  publishes too often"
+            }
+            Self::FalseBroker => {
+                "another node acts as broker, or probes, and the plan does not let it; it is not believed"
+            }
+            Self::FalseBinding => {
+                "a subject was said to have another etag than the plan says, and that was not believed; look for \
+                 a foreign broker, or nodes of another plan"
+            }
+            Self::FalseMaster => {
+                "another node acts as time master, and the plan does not let it; it is not followed"
+            }
+            Self::UnplannedNode => {
+                "a node sends that is not in the plan, or has another UID there; it is not believed"
+            }
+            Self::UnplannedPublisher => {
+                "a node announced or published on a channel on which the plan does not let it; its events were \
+                 dropped"
             }
             Self::EventOverdue => {
                 "no event of a periodic channel has come for longer than its period and deadline; look at its \

@@ -92,6 +92,7 @@
 //! # Where to go from here
 //! * [`calendar`]: slots, and what instants they have;
 //! * [`services`]: what makes a node one of a cluster: configuration, binding, clock, membership;
+//! * [`seal`]: what a node believes of others in a cluster whose plan fixes all;
 //! * [`can::filter_banks`]: acceptance filters from what a node wants;
 //! * `examples/two_nodes.rs`: the above as a program.
 //!
@@ -128,6 +129,7 @@ pub mod network;
 pub mod plan;
 pub mod protocol;
 mod ring;
+pub mod seal;
 pub mod services;
 pub mod sync;
 pub mod time;

@@ -20,12 +20,14 @@
 //! | `plan::channels::wheel_speed::CHANNEL` | the channel of such a content |
 //! | `plan::nodes::sensor::NODE` | what is this node's own, a [`NodePlan`] |
 //! | `plan::NODES`, `plan::CHANNELS` | all of them, in the order of the description |
+//! | `plan::SEAL` | what a node believes of others, if the cluster is sealed, a [`Seal`] |
 //! | `plan::Capacities` | how much a node has room for, a [`Capacity`](crate::event_half::Capacity) |
 
 use crate::calendar::Calendar;
 use crate::can::filter_banks::FilterBank;
 use crate::can::{Etag, TxNode};
 use crate::protocol::LayoutHash;
+use crate::seal::Seal;
 use crate::sync::SyncConfig;
 use crate::uid::{NodeUid, Subject};
 
@@ -46,6 +48,8 @@ pub struct NodePlan {
     pub filters: &'static [FilterBank],
     /// The calendar of the segment.
     pub calendar: &'static Calendar,
+    /// What it believes of others; `None` if the cluster is not sealed.
+    pub seal: Option<&'static Seal>,
     /// The channels that it publishes on.
     pub publishes: &'static [Subject],
     /// The channels that it subscribes to.

@@ -2,11 +2,12 @@
 //!
 //! A frame that nobody wants should cost a node nothing. A node wants the frames of clock synchronisation, of the
 //! channels that it subscribes to, and all that carry its own TxNode: nobody else should send such a frame, and
-//! it must be noticed if somebody does. Of a hard real-time slot the whole identifier is known. Where the broker
-//! hands out etags, they are not known here; then a node that subscribes to such channels accepts all etags of
-//! that range, and every node the messages of the protocol.
+//! it must be noticed if somebody does. It also wants the messages of the protocol, for whoever takes part in
+//! membership, and so that a broker is noticed where there should be none. Of a hard real-time slot the whole identifier
+//! is known. Where the broker hands out etags, they are not known here; then a node that subscribes to such channels
+//! accepts all etags of that range.
 
-use crate::cluster::{Binding, Cluster, Node};
+use crate::cluster::{Cluster, Node};
 use crate::plan::Plan;
 use cosmic_core::can::filter_banks::{Fifo, FilterBank, FilterBanks, FilterBanksError, Wanted};
 use cosmic_core::can::{Etag, Id, Priority, TxNode};
@@ -60,9 +61,8 @@ fn wanted(cluster: &Cluster, plan: &Plan, at: usize) -> Vec<Wanted> {
         wanted.push(Wanted::etag(Fifo::Urgent, Etag::SYNC));
         wanted.push(Wanted::etag(Fifo::Urgent, Etag::FOLLOW_UP));
     }
-    if cluster.binding == Binding::Broker {
-        wanted.push(masked(0, RESERVED_ETAGS));
-    }
+    // Interest and status, and whoever acts as broker: in a cluster that has none of it, nothing comes.
+    wanted.push(masked(0, RESERVED_ETAGS));
     let slots = plan.slots().iter().filter(|slot| node.subscribes.contains(&slot.channel));
     let others = slots.filter(|slot| slot.node != at).map(|slot| (slot.slot.etag, slot.slot.publisher));
     wanted.extend(others.map(|(etag, publisher)| Wanted::hard(etag, publisher)));
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_accepts_what_it_subscribes_to_and_nothing_else() {
+    fn a_node_accepts_what_it_subscribes_to_and_the_protocol_and_nothing_else() {
         let (cluster, filters) = filters(EXAMPLE);
         let brake = cluster.nodes.iter().position(|node| node.name == "brake").unwrap();
         let tag = |name: &str| cluster.channels[cluster.channel_named(name).unwrap()].etag.unwrap().get();
@@ -151,8 +151,12 @@ mod tests {
         for own in [tag("temperature"), tag("suspension"), 16, 17] {
             assert!(accepts(brake, 1, 3, own) && accepts(brake, 249, 1, own), "{own}");
         }
-        for foreign in [tag("logbook"), tag("brake_force"), 0, 1, 2, 4, 18, 19] {
+        for foreign in [tag("logbook"), tag("brake_force")] {
             assert!(!accepts(brake, 250, 3, foreign), "{foreign}");
+        }
+        // Who is there, who wants what, and a broker where there should be none.
+        for protocol in [0, 1, 2, 4, 7, 8, 9, 18, 19] {
+            assert!(accepts(brake, 250, 3, protocol), "{protocol}");
         }
         // What must be read at once has a FIFO of its own.
         let sync = Id::new(Priority::new(1), TxNode::MIN, Etag::SYNC);

@@ -159,6 +159,34 @@ fn bursts_belong_to_sporadic_channels() {
 }
 
 #[test]
+fn a_sealed_cluster_fixes_all() {
+    let folder = folder("sealed");
+    let with = |segment: &str, binding: &str| {
+        let text = include_str!("../examples/vehicle.toml")
+            .replacen("[segment]", &format!("[segment]\n{segment}"), 1)
+            .replacen("binding = \"static\"", binding, 1);
+        let output = run(&["check", &file(&folder, "cluster.toml", &text)]);
+        (output.status.code(), text_of(&output))
+    };
+    let fixed = "binding = \"static\"";
+    assert_eq!(with("sealed = true\nbrokers = [\"sensor\"]", fixed).0, Some(0));
+    let wrong = [
+        ("sealed = true", "binding = \"broker\"", "the etags of a sealed cluster are fixed"),
+        ("sealed = true\nbrokers = [\"sensors\"]", fixed, "did you mean `sensor`?"),
+        ("brokers = [\"sensor\"]", fixed, "has no effect in an open cluster"),
+    ];
+    for (segment, binding, message) in wrong {
+        let (code, said) = with(segment, binding);
+        assert_eq!(code, Some(2));
+        assert!(said.contains(message), "{said}");
+    }
+    let reserved =
+        include_str!("../examples/vehicle.toml").replacen("0xC05A1C0000000002", "0xFFFFFFFFFFFFFFFF", 1);
+    let said = text_of(&run(&["check", &file(&folder, "reserved.toml", &reserved)]));
+    assert!(said.contains("is reserved for brokers"), "{said}");
+}
+
+#[test]
 fn an_impossible_set_is_explained_and_a_way_out_is_named() {
     let folder = folder("impossible");
     let channels = [hard("x", 1, "1 ms", 1), hard("y", 2, "1 ms", 1), hard("z", 3, "20 ms", 0)].concat();

@@ -51,6 +51,7 @@ fn check(name: &str, plans: &[(&str, String)], code: &str) -> Result<(), String>
 fn plans_compile_and_their_channels_take_what_fits() {
     let brokered = EXAMPLE.replace("binding = \"static\"", "binding = \"broker\"");
     let bursty = EXAMPLE.replace("min_interarrival = \"4 ms\"", "min_interarrival = \"4 ms\"\nburst = 3");
+    let sealed = EXAMPLE.replace("[segment]", "[segment]\nsealed = true\nbrokers = [\"brake\"]");
     let stepped = EXAMPLE.replace("[segment]", "[segment]\npriority_step = \"1 ms\"");
     let clockless = EXAMPLE.replace("sync_period = \"25 ms\"", "sync_period = \"0 s\"");
     let plans = [
@@ -61,6 +62,7 @@ fn plans_compile_and_their_channels_take_what_fits() {
         ("stepped", rendered(&stepped)),
         ("clockless", rendered(&clockless)),
         ("bursty", rendered(&bursty)),
+        ("sealed", rendered(&sealed)),
     ];
     assert!(plans[3].1.contains("etag: None") && !plans[0].1.contains("etag: None"));
     let code = r"
@@ -79,6 +81,9 @@ const _: () = {
     assert!(vehicle::channels::suspension::RATE.is_periodic());
     assert!(vehicle::channels::suspension::RATE.interval().as_ticks() == 1_000_000);
     assert!(!bursty::channels::logbook::RATE.is_periodic());
+    assert!(vehicle::nodes::brake::NODE.seal.is_none() && sealed::nodes::brake::NODE.seal.is_some());
+    assert!(sealed::SEAL.nodes.len() == 3 && sealed::SEAL.channels.len() == 5 && sealed::SEAL.brokers.len() == 1);
+    assert!(matches!(sealed::SEAL.nodes[2].rank, Some(rank) if rank.get() == 2));
     assert!(vehicle::nodes::brake::NODE.sync.is_some() && clockless::nodes::brake::NODE.sync.is_none());
     assert!(matches!(vehicle::nodes::brake::RANK, Some(rank) if rank.get() == 1));
 };
@@ -104,6 +109,9 @@ const _: () = {
     for (plan, channel, rate) in rates {
         assert!(plans[plan].1.contains(&format!("EventRate::{rate};")), "{channel}: {}", plans[plan].1);
     }
+    let publishers =
+        "publishers: ::cosmic_core::seal::TxNodes::of(&[::cosmic_core::can::TxNode::new(3).unwrap()])";
+    assert_eq!(plans[7].1.matches(publishers).count(), 2, "suspension and logbook");
     check("plans", &plans, code).unwrap_or_else(|said| panic!("{said}"));
 }
 

@@ -54,7 +54,8 @@ pub trait Timed: Services + Sized {
 impl Timed for ClockService {
     fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
         let config = node.sync.ok_or(StartError::NoSync)?;
-        Self::new(config, node.calendar, Some(node.tx_node), now).map_err(StartError::Sync)
+        let new = Self::new(config, node.calendar, Some(node.tx_node), now).map_err(StartError::Sync)?;
+        Ok(new.sealed(node.seal))
     }
 
     fn clock(&self) -> GlobalClock {

@@ -36,8 +36,10 @@
 //!
 //! # Frames that should not be
 //! Whatever another node sends: it is answered so many times a second at most
-//! ([`BrokerTiming::between_answers`]), the host's own id is never given away, and what a node said without
-//! a name is forgotten some time after it was said last.
+//! ([`BrokerTiming::between_answers`], [`BrokerTiming::between_supplies`]), the host's own id is never given away,
+//! and what a node said without a name is forgotten some time after it was said last. A name that was told keeps its
+//! id or etag; but when none is left, one that nobody was seen to use for an hour goes ([`BrokerTiming::named`]), so
+//! that false names do not fill the table for good.
 
 mod others;
 mod report;
@@ -91,6 +93,10 @@ pub struct Broker<const NODES: usize, const SUBJECTS: usize> {
     status_sent_at: Instant,
     /// Another broker has answered, and has not sent its status since. When to tell.
     foreign_at: Option<Instant>,
+    /// Before this, another broker with the same UID is not told again.
+    namesake_at: Instant,
+    /// The nominal instant of the next answer about an etag.
+    supply_at: Instant,
     /// An old broker has handed out ids, or still does.
     old_ids: bool,
     /// The owner was told that no id, or no etag, is free.
@@ -124,6 +130,8 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             repeated: None,
             status_sent_at: Instant::EPOCH,
             foreign_at: None,
+            namesake_at: Instant::EPOCH,
+            supply_at: Instant::EPOCH,
             old_ids: false,
             ids_used_up: false,
             etags_used_up: false,

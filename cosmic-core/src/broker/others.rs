@@ -1,6 +1,6 @@
 //! Other brokers, and nodes whose bindings are those of another broker.
 
-use super::{Broker, BrokerRole, State, count};
+use super::{Broker, BrokerEvent, BrokerRole, State, count};
 use crate::can::{Etag, TxNode};
 use crate::protocol::{Answer, BrokerStatus, ConfigurationReply, Supply};
 use crate::time::Instant;
@@ -22,6 +22,9 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         let Answer::Bound(etag) = supply.answer else { return };
         if supply.subject == Subject::RESERVED {
             return;
+        }
+        if self.subjects.subject_of(etag) == Some(supply.subject) {
+            self.subjects.occupy(etag, now + self.timing.unnamed);
         }
         match self.state {
             State::Off => {}
@@ -103,9 +106,13 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     pub(super) fn on_broker_status(&mut self, now: Instant, status: BrokerStatus) {
         self.learn(status.uid, status.tx_node);
         self.foreign_at = None;
+        if status.uid == self.uid && self.state != State::Off {
+            self.tell_of_namesake(now, status.tx_node);
+        }
         match self.state {
             State::Off => {}
-            State::Active { .. } if status.uid > self.uid => {
+            // Two of one UID by mistake must not both go: then nobody would answer, again and again.
+            State::Active { .. } if (status.uid, status.tx_node) >= (self.uid, self.tx_node) => {
                 self.hasten_status(now);
                 // When the other has gone, compare our table with what its nodes use.
                 self.compare_from(now + self.timing.listen);
@@ -114,6 +121,14 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             State::Standby { .. } => {
                 self.state = State::Standby { dead_at: self.dead_at(now), old: false };
             }
+        }
+    }
+
+    /// Another broker has the UID of this one: once in a while, for it says so with each status.
+    fn tell_of_namesake(&mut self, now: Instant, tx_node: TxNode) {
+        if now >= self.namesake_at {
+            self.namesake_at = now + self.timing.named;
+            self.tell(BrokerEvent::Namesake(tx_node));
         }
     }
 

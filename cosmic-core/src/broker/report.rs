@@ -21,11 +21,20 @@ pub struct BrokerTiming {
     /// How long an id or an etag of which only the use was seen is not handed out, from the last use on. What a
     /// node states its interest in is kept for its lease.
     pub unnamed: Duration,
+    /// After how long a name that was not seen in use may lose its id or etag, if none is left for another one. A node
+    /// of ours shows its names all the time.
+    pub named: Duration,
     /// Between two answers to other brokers, at least.
     pub between_answers: Duration,
+    /// Between two answers about etags, on average; up to [`SUPPLIES_AT_ONCE`](Self::SUPPLIES_AT_ONCE) may follow each
+    /// other.
+    pub between_supplies: Duration,
 }
 
 impl BrokerTiming {
+    /// Answers about etags that may follow each other, when none was given for a while.
+    pub const SUPPLIES_AT_ONCE: u8 = 32;
+
     /// For a segment of 125 kbit/s and faster: a standby takes over within 1.3 s.
     pub const DEFAULT: Self = Self {
         listen: Duration::from_millis(300),
@@ -34,7 +43,9 @@ impl BrokerTiming {
         rank_step: Duration::from_millis(2),
         search: Duration::from_millis(250),
         unnamed: Duration::from_secs(60),
+        named: Duration::from_secs(3600),
         between_answers: Duration::from_millis(50),
+        between_supplies: Duration::from_millis(4),
     };
 }
 
@@ -87,6 +98,9 @@ pub enum BrokerEvent {
         /// Of how many only the use was seen; they are handed out when it ends.
         unnamed: usize,
     },
+    /// The broker of the node with this TxNode has the UID of this one. The one with the lower TxNode stays; give each
+    /// node a UID of its own. Told once in [`BrokerTiming::named`].
+    Namesake(TxNode),
     /// Another broker answers, which does not say who it is: an old one. This broker stands by if it heard of
     /// it in time. Two that answer give ids and etags twice; switch one of them off.
     ForeignBroker,
@@ -96,7 +110,7 @@ pub enum BrokerEvent {
 #[derive(Clone, Copy, PartialEq, Eq, Default, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BrokerCounters {
-    /// Replies dropped because too many were waiting to be sent; the nodes ask again.
+    /// Replies dropped because too many were waiting to be sent, or were given already; the nodes ask again.
     pub replies_dropped: u16,
     /// Events dropped because nobody polled.
     pub events_dropped: u16,

@@ -1,9 +1,10 @@
 //! What the active broker answers to the nodes.
 
 use super::session::Turn;
-use super::{Broker, BrokerEvent, BrokerRole, count};
+use super::{Broker, BrokerEvent, BrokerRole, BrokerTiming, count};
 use crate::can::Frame;
 use crate::can::TxNode;
+use crate::jitter::times;
 use crate::protocol::{Answer, ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, SupplyEtag};
 use crate::time::Instant;
 use crate::uid::{NodeUid, Subject};
@@ -46,7 +47,14 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     }
 
     fn free_id(&mut self, uid: NodeUid, now: Instant) -> Option<TxNode> {
-        if self.old_ids { self.nodes.assign_from_below(uid, now) } else { self.nodes.assign(uid, now) }
+        // The host is not heard by itself.
+        self.nodes.occupy(self.tx_node, now);
+        let named = self.timing.named;
+        if self.old_ids {
+            self.nodes.assign_from_below(uid, now, named)
+        } else {
+            self.nodes.assign(uid, now, named)
+        }
     }
 
     pub(super) fn on_get_etag(&mut self, now: Instant, requester: TxNode, subject: Subject) {
@@ -63,13 +71,14 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
     }
 
     pub(super) fn supply(&mut self, now: Instant, requester: TxNode, subject: Subject) {
-        if self.replies.room() < 2 {
+        if self.replies.room() < 2 || !self.may_supply(now) {
             count(&mut self.counters.replies_dropped);
             return;
         }
         let known = self.subjects.etag_of(subject);
-        let answer = match known.or_else(|| self.subjects.bind(subject, now)) {
+        let answer = match known.or_else(|| self.subjects.bind(subject, now, self.timing.named)) {
             Some(etag) => {
+                self.subjects.occupy(etag, now);
                 if known.is_none() {
                     self.tell(BrokerEvent::Bound { subject, etag });
                 }
@@ -83,5 +92,16 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         };
         let halves = SupplyEtag::pair(TxNode::BROKER, requester, subject, answer);
         self.reply(halves.map(|half| half.encode()));
+    }
+
+    /// Returns whether it is time for another answer about an etag: so many at once, and so many a second, whoever asks.
+    /// A clock that was set back does not keep the broker silent.
+    fn may_supply(&mut self, now: Instant) -> bool {
+        let between = self.timing.between_supplies;
+        let at_once = times(between, BrokerTiming::SUPPLIES_AT_ONCE.into());
+        let ahead = self.supply_at.saturating_since(now).min(at_once);
+        let due = ahead + between <= at_once;
+        self.supply_at = if due { now + ahead + between } else { now + ahead };
+        due
     }
 }

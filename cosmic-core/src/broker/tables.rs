@@ -5,10 +5,11 @@
 //! kept. Looking for a UID or a subject walks the table.
 //!
 //! What is kept of a name that nobody has told ends by itself: otherwise frames with every id in turn, from a
-//! node that is broken or does not mean well, would leave none to hand out, for good.
+//! node that is broken or does not mean well, would leave none to hand out, for good. For the same reason a name that
+//! was told goes, when nothing else is left and nobody was seen to use its id for a long time.
 
 use crate::can::{Etag, TxNode};
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use crate::uid::{NodeUid, Subject};
 
 /// The entry contradicts what the table knows.
@@ -43,22 +44,26 @@ impl<Name: Copy + Eq> Slot<Name> {
 #[derive(Clone, Debug)]
 struct Table<Name, const N: usize> {
     slots: [Slot<Name>; N],
+    /// Until when each was used, as far as is known; for those with a name.
+    used_until: [Instant; N],
 }
 
 impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
     const fn new() -> Self {
-        Self { slots: [Slot::Free; N] }
+        Self { slots: [Slot::Free; N], used_until: [Instant::EPOCH; N] }
     }
 
     fn index_of(&self, name: Name) -> Option<usize> {
         self.slots.iter().position(|slot| slot.is_of(name))
     }
 
-    /// The index that `name` has, or a free one that it gets now.
-    fn assign(&mut self, name: Name, now: Instant) -> Option<usize> {
+    /// The index that `name` has, or a free one that it gets now; at worst that of a name that was not used for `named`.
+    fn assign(&mut self, name: Name, now: Instant, named: Duration) -> Option<usize> {
         let at = (self.index_of(name))
             .or_else(|| self.first(|slot| *slot == Slot::Free))
-            .or_else(|| self.longest_unused(now))?;
+            .or_else(|| self.longest_unused(now))
+            .or_else(|| self.longest_unused_name(now, named))?;
+        self.use_until(at, now);
         let slot = self.slots.get_mut(at)?;
         if !slot.is_of(name) {
             *slot = Slot::Of(name);
@@ -66,13 +71,16 @@ impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
         Some(at)
     }
 
-    /// The index that `name` has, or one that it is promised now: the first that is free, or the last.
-    fn promise(&mut self, name: Name, now: Instant, last: bool) -> Option<usize> {
+    /// The index that `name` has, or one that it is promised now: the first that is free, or the last; at worst as
+    /// [`assign`](Self::assign).
+    fn promise(&mut self, name: Name, now: Instant, named: Duration, last: bool) -> Option<usize> {
         let free = |slot: &Slot<Name>| *slot == Slot::Free;
         let at = (self.index_of(name))
             .or_else(|| if last { self.slots.iter().rposition(free) } else { self.first(free) })
             .or_else(|| self.first(|slot| matches!(slot, Slot::Promised(_))))
-            .or_else(|| self.longest_unused(now))?;
+            .or_else(|| self.longest_unused(now))
+            .or_else(|| self.longest_unused_name(now, named))?;
+        self.use_until(at, now);
         let slot = self.slots.get_mut(at)?;
         if !slot.is_of(name) {
             *slot = Slot::Promised(name);
@@ -94,8 +102,25 @@ impl<Name: Copy + Eq, const N: usize> Table<Name, N> {
         ended.min().map(|(_, at)| at)
     }
 
+    /// As [`longest_unused`](Self::longest_unused), of those with a name.
+    fn longest_unused_name(&self, now: Instant, named: Duration) -> Option<usize> {
+        let uses = self.slots.iter().zip(&self.used_until).enumerate();
+        let ended = uses.filter_map(|(at, (slot, until))| match slot {
+            Slot::Of(_) if *until + named <= now => Some((*until, at)),
+            _ => None,
+        });
+        ended.min().map(|(_, at)| at)
+    }
+
+    fn use_until(&mut self, at: usize, until: Instant) {
+        if let Some(known) = self.used_until.get_mut(at) {
+            *known = until.max(*known);
+        }
+    }
+
     /// Somebody uses this index. Returns whether it was free.
     fn occupy(&mut self, at: usize, until: Instant) -> bool {
+        self.use_until(at, until);
         let Some(slot) = self.slots.get_mut(at) else {
             return false;
         };
@@ -209,14 +234,19 @@ impl<const N: usize> Nodes<N> {
     }
 
     /// The id of a node, which it gets now if it has none, from the top down; `None` if none is left. O(`N`).
-    pub(super) fn assign(&mut self, uid: NodeUid, now: Instant) -> Option<TxNode> {
-        Self::tx_node(self.0.promise(uid, now, false)?)
+    pub(super) fn assign(&mut self, uid: NodeUid, now: Instant, named: Duration) -> Option<TxNode> {
+        Self::tx_node(self.0.promise(uid, now, named, false)?)
     }
 
     /// As [`assign`](Self::assign), from the bottom up: where another broker has handed out ids from the top,
     /// nobody knows how many, it has come down to these last.
-    pub(super) fn assign_from_below(&mut self, uid: NodeUid, now: Instant) -> Option<TxNode> {
-        Self::tx_node(self.0.promise(uid, now, true)?)
+    pub(super) fn assign_from_below(
+        &mut self,
+        uid: NodeUid,
+        now: Instant,
+        named: Duration,
+    ) -> Option<TxNode> {
+        Self::tx_node(self.0.promise(uid, now, named, true)?)
     }
 
     /// The active broker has assigned this id; whoever had it before. O(`N`).
@@ -325,8 +355,8 @@ impl<const N: usize> Subjects<N> {
     }
 
     /// The etag of a subject, which it gets now if it has none; `None` if none is left. O(`N`).
-    pub(super) fn bind(&mut self, subject: Subject, now: Instant) -> Option<Etag> {
-        Self::etag(self.0.assign(subject, now)?)
+    pub(super) fn bind(&mut self, subject: Subject, now: Instant, named: Duration) -> Option<Etag> {
+        Self::etag(self.0.assign(subject, now, named)?)
     }
 
     /// The active broker said so: whoever had that etag before. O(`N`).
@@ -371,7 +401,7 @@ impl<const N: usize> Default for Subjects<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::time::Duration;
+    const NAMED: Duration = Duration::from_secs(3600);
 
     const NOW: Instant = Instant::EPOCH;
     const LATER: Instant = Instant::from_epoch(Duration::from_secs(1));
@@ -387,23 +417,23 @@ mod tests {
     #[test]
     fn a_uid_keeps_its_id() {
         let mut nodes = Nodes::<2>::new();
-        assert_eq!(nodes.assign(uid(1), NOW), Some(TxNode::MAX));
-        assert_eq!(nodes.assign(uid(2), NOW), TxNode::new(0x7D));
-        assert_eq!(nodes.assign(uid(1), NOW), Some(TxNode::MAX));
+        assert_eq!(nodes.assign(uid(1), NOW, NAMED), Some(TxNode::MAX));
+        assert_eq!(nodes.assign(uid(2), NOW, NAMED), TxNode::new(0x7D));
+        assert_eq!(nodes.assign(uid(1), NOW, NAMED), Some(TxNode::MAX));
         nodes.occupy(TxNode::MAX, LATER);
         nodes.occupy(TxNode::new(0x7D).unwrap(), LATER);
-        assert_eq!(nodes.assign(uid(3), NOW), None, "no id left");
+        assert_eq!(nodes.assign(uid(3), NOW, NAMED), None, "no id left");
         assert!(nodes.release(uid(1)));
-        assert_eq!(nodes.assign(uid(3), NOW), Some(TxNode::MAX));
+        assert_eq!(nodes.assign(uid(3), NOW, NAMED), Some(TxNode::MAX));
     }
 
     #[test]
     fn an_id_that_nobody_has_come_to_use_is_given_away_last() {
         let mut nodes = Nodes::<2>::new();
-        nodes.assign(uid(1), NOW).unwrap();
-        assert_eq!(nodes.assign(uid(2), NOW), TxNode::new(0x7D));
+        nodes.assign(uid(1), NOW, NAMED).unwrap();
+        assert_eq!(nodes.assign(uid(2), NOW, NAMED), TxNode::new(0x7D));
         nodes.occupy(TxNode::new(0x7D).unwrap(), LATER);
-        assert_eq!(nodes.assign(uid(3), NOW), Some(TxNode::MAX));
+        assert_eq!(nodes.assign(uid(3), NOW, NAMED), Some(TxNode::MAX));
         assert!(nodes.entries().eq([(uid(3), TxNode::MAX), (uid(2), TxNode::new(0x7D).unwrap())]));
     }
 
@@ -414,10 +444,10 @@ mod tests {
         nodes.occupy(TxNode::MIN, LATER); // outside the table: nothing to remember
         nodes.occupy(TxNode::BROKER, LATER);
         nodes.learn(uid(9), TxNode::new(0x7D).unwrap());
-        assert_eq!(nodes.assign(uid(1), NOW), TxNode::new(0x7C));
+        assert_eq!(nodes.assign(uid(1), NOW, NAMED), TxNode::new(0x7C));
         assert_eq!(nodes.free(), 0);
         nodes.occupy(TxNode::new(0x7C).unwrap(), LATER);
-        assert_eq!(nodes.assign(uid(2), NOW), None);
+        assert_eq!(nodes.assign(uid(2), NOW, NAMED), None);
         // Who it is becomes known.
         nodes.learn(uid(8), TxNode::MAX);
         assert_eq!(nodes.uid_of(TxNode::MAX), Some(uid(8)));
@@ -430,7 +460,7 @@ mod tests {
     fn what_was_exported_is_restored() {
         let mut before = Subjects::<8>::new();
         for at in 1..=5 {
-            before.bind(subject(at), NOW).unwrap();
+            before.bind(subject(at), NOW, NAMED).unwrap();
         }
         before.release(subject(2));
         let mut after = Subjects::<8>::new();
@@ -438,7 +468,7 @@ mod tests {
             after.restore(subject, etag).unwrap();
         }
         assert!(before.entries().eq(after.entries()));
-        assert_eq!(after.bind(subject(5), NOW), Etag::new(0x3FFF - 4));
+        assert_eq!(after.bind(subject(5), NOW, NAMED), Etag::new(0x3FFF - 4));
         assert_eq!(after.restore(subject(7), Etag::BOUND_LAST), Err(Conflict::Taken(subject(1))));
         assert_eq!(after.restore(subject(7), Etag::BOUND_FIRST), Err(Conflict::OutOfRange));
         assert_eq!(after.subject_of(Etag::BOUND_LAST), Some(subject(1)));
@@ -448,7 +478,8 @@ mod tests {
     fn pairs_follow_each_other_in_a_circle() {
         let mut subjects = Subjects::<4>::new();
         assert_eq!(subjects.after(None), None);
-        let [first, _, third] = [1, 2, 3].map(|of| (subject(of), subjects.bind(subject(of), NOW).unwrap()));
+        let [first, _, third] =
+            [1, 2, 3].map(|of| (subject(of), subjects.bind(subject(of), NOW, NAMED).unwrap()));
         subjects.release(subject(2));
         assert_eq!(subjects.after(None), Some(first));
         assert_eq!(subjects.after(Some(first.1)), Some(third));
@@ -464,22 +495,40 @@ mod tests {
         assert!(subjects.occupy(top, LATER) && subjects.occupy(below, NOW));
         assert!(!subjects.occupy(below, NOW), "it is no longer free");
         assert_eq!((subjects.free(), subjects.unnamed()), (0, 2));
-        assert_eq!(subjects.bind(subject(1), NOW), Some(below));
-        assert_eq!(subjects.bind(subject(2), NOW), None);
-        assert_eq!(subjects.bind(subject(2), LATER), Some(top));
-        assert_eq!(subjects.bind(subject(3), LATER), None, "those that have a name are kept");
+        assert_eq!(subjects.bind(subject(1), NOW, NAMED), Some(below));
+        assert_eq!(subjects.bind(subject(2), NOW, NAMED), None);
+        assert_eq!(subjects.bind(subject(2), LATER, NAMED), Some(top));
+        assert_eq!(subjects.bind(subject(3), LATER, NAMED), None, "those that have a name are kept");
+    }
+
+    #[test]
+    fn a_name_that_nobody_was_seen_to_use_goes_before_another_is_refused() {
+        let after = |seconds| Instant::from_epoch(Duration::from_secs(seconds));
+        let mut subjects = Subjects::<2>::new();
+        let [top, below] = [0x3FFF, 0x3FFE].map(|etag| Etag::new(etag).unwrap());
+        assert_eq!([1, 2].map(|of| subjects.bind(subject(of), NOW, NAMED)), [Some(top), Some(below)]);
+        subjects.occupy(top, after(100));
+        assert_eq!(subjects.bind(subject(3), after(3599), NAMED), None);
+        assert_eq!(subjects.bind(subject(3), after(3600), NAMED), Some(below));
+        assert_eq!(subjects.bind(subject(4), after(3699), NAMED), None);
+        assert_eq!(subjects.bind(subject(4), after(3700), NAMED), Some(top));
+        // One that was restored from a table and is off has as long from the start on.
+        let mut nodes = Nodes::<1>::new();
+        nodes.restore(uid(1), TxNode::MAX).unwrap();
+        assert_eq!(nodes.assign(uid(2), after(3599), NAMED), None);
+        assert_eq!(nodes.assign(uid(2), after(3600), NAMED), Some(TxNode::MAX));
     }
 
     #[test]
     fn what_another_broker_has_handed_out_is_in_use() {
         let mut nodes = Nodes::<4>::new();
-        nodes.assign(uid(1), NOW).unwrap();
+        nodes.assign(uid(1), NOW, NAMED).unwrap();
         assert!(nodes.occupy_down_to(TxNode::new(0x7C).unwrap(), LATER));
         assert!(!nodes.occupy_down_to(TxNode::BROKER, LATER));
         assert_eq!((nodes.uid_of(TxNode::MAX), nodes.unnamed()), (Some(uid(1)), 2));
-        assert_eq!(nodes.assign(uid(2), NOW), TxNode::new(0x7B));
+        assert_eq!(nodes.assign(uid(2), NOW, NAMED), TxNode::new(0x7B));
         let mut nodes = Nodes::<4>::new();
-        assert_eq!(nodes.assign_from_below(uid(1), NOW), TxNode::new(0x7B));
-        assert_eq!(nodes.assign_from_below(uid(2), NOW), TxNode::new(0x7C));
+        assert_eq!(nodes.assign_from_below(uid(1), NOW, NAMED), TxNode::new(0x7B));
+        assert_eq!(nodes.assign_from_below(uid(2), NOW, NAMED), TxNode::new(0x7C));
     }
 }

@@ -411,7 +411,7 @@ impl Configuration {
     }
 
     /// The id that we have or claim.
-    fn claimed(&self) -> Option<TxNode> {
+    pub(crate) fn claimed(&self) -> Option<TxNode> {
         match self.state {
             State::Claiming { tx_node, .. } | State::Configured { tx_node, .. } => Some(tx_node),
             _ => None,

@@ -352,7 +352,14 @@ impl<
             publishes,
             subscribes,
         };
-        self.services.declare(&declaration).map_err(|TooMany| AnnounceError::TooManyChannels)
+        if !self.services.permits(&declaration) {
+            return Err(AnnounceError::OutsidePlan);
+        }
+        self.services.declare(&declaration).map_err(|TooMany| AnnounceError::TooManyChannels)?;
+        if !matches!(declared.attributes, Attributes::Hard(_)) {
+            self.layer.set_publishers(declared.subject, self.services.publishers(declared.subject));
+        }
+        Ok(())
     }
 
     /// A publication reaches the subscribers on this node, too, with the priority that its frame would

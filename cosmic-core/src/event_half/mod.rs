@@ -237,6 +237,7 @@ impl<
             Accepted::Foreign => self.foreign = self.foreign.wrapping_add(1),
             Accepted::Overflowed(subject) => self.raise(Some(subject), ExceptionKind::QueueFull, now),
             Accepted::Malformed(subject) => self.raise(Some(subject), ExceptionKind::Malformed, now),
+            Accepted::Unplanned(subject) => self.raise(Some(subject), ExceptionKind::UnplannedPublisher, now),
         }
     }
 

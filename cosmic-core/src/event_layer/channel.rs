@@ -9,6 +9,7 @@ use crate::can::{Etag, Id, Priority, TxNode};
 use crate::network::hard::BufferId;
 use crate::network::soft::Tag;
 use crate::protocol::LayoutHash;
+use crate::seal::TxNodes;
 use crate::time::Instant;
 use crate::uid::Subject;
 use core::marker::PhantomData;
@@ -230,6 +231,8 @@ pub(super) struct Entry {
     /// What the frames of its events are called. Closed if the channel has a rate, and then with the guard.
     pub(super) outlet: Outlet,
     pub(super) guard: Guard,
+    /// In a sealed cluster: whose events are taken. Not for hard real-time channels, where the calendar says so.
+    pub(super) publishers: Option<&'static TxNodes>,
     /// When the next event of a periodic channel is overdue here, if it does not come.
     pub(super) overdue_at: Instant,
     pub(super) announcements: u8,
@@ -248,6 +251,7 @@ impl Entry {
             etag: None,
             outlet: Outlet::CLOSED,
             guard,
+            publishers: None,
             overdue_at: Instant::FAR_FUTURE,
             announcements: 0,
             subscriptions: 0,
@@ -313,6 +317,8 @@ pub struct ChannelCounters {
     pub replaced: u32,
     /// Events that did not carry what the channel's type says.
     pub malformed: u32,
+    /// Events that were dropped because the plan of a sealed cluster does not let their sender publish them.
+    pub unplanned: u32,
 }
 
 /// What a received frame leads to.

@@ -45,6 +45,7 @@ pub(crate) enum Accepted {
     /// It belongs to the channel, and this went wrong.
     Overflowed(Subject),
     Malformed(Subject),
+    Unplanned(Subject),
 }
 
 impl Subscriber {

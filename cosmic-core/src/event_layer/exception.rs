@@ -90,6 +90,16 @@ exception_kinds! {
     RateExceeded = "event rate exceeded",
     /// Subscriber: no event of a periodic soft real-time channel has come by the time at which it was due.
     EventOverdue = "periodic event overdue",
+    /// Sealed node: another node acts as broker that may not, and is not believed.
+    FalseBroker = "false broker",
+    /// Sealed node: a subject was said to have another etag than in the plan, which is not believed.
+    FalseBinding = "false binding",
+    /// Sealed node: another node acts as time master that may not, and is not followed.
+    FalseMaster = "false time master",
+    /// Sealed node: a node sends that is not in the plan, or has another UID there.
+    UnplannedNode = "node outside the plan",
+    /// Sealed node: a node announced or published on a channel whose publisher it is not, and was not believed.
+    UnplannedPublisher = "publisher outside the plan",
 }
 
 impl ExceptionKind {

@@ -7,6 +7,7 @@ use super::channel::{
 };
 use super::content::Content;
 use super::delivery::{Accepted, Delivered, Received, decode};
+use super::error::{AnnounceError, SubscribeError};
 use super::filter::{Context, Filter};
 use super::pool::{Pool, PoolFull};
 use super::rate::Guard;
@@ -14,40 +15,10 @@ use crate::can::{Etag, Frame, TxNode};
 use crate::network::hard::BufferId;
 use crate::network::id_map::IdMap;
 use crate::network::soft::{PriorityMap, Tag};
+use crate::seal::TxNodes;
 use crate::time::Instant;
 use crate::uid::Subject;
 use core::task::Waker;
-
-/// Why a channel cannot be announced.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum AnnounceError {
-    /// The node knows as many channels as it has room for: make `CHANNELS` larger.
-    TooManyChannels,
-    /// The node uses this subject with other attributes, another etag, or another layout of content.
-    Contradiction,
-    /// Another channel of this node has this etag.
-    EtagInUse,
-    /// The node has no TxNode. A publisher of hard real-time events needs a fixed one, since the calendar
-    /// names it.
-    NoTxNode,
-    /// The calendar has no slot of this node with the etag, period and omission degree.
-    NotInCalendar,
-    /// The node takes part in as many slots as it has room for: make `SLOTS` larger.
-    TooManySlots,
-}
-
-/// Why a channel cannot be subscribed to.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum SubscribeError {
-    /// As for announcing.
-    Channel(AnnounceError),
-    /// The node has as many subscriptions as it has room for: make `SUBSCRIPTIONS` larger.
-    TooManySubscriptions,
-}
 
 /// The channels, subscriptions and waiting events of a node: room for `CHANNELS` (a power of two),
 /// `SUBSCRIPTIONS`, and `EVENTS` in all queues together.
@@ -106,6 +77,15 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         }
         self.update(at);
         Ok(Publication::new(at))
+    }
+
+    /// Whose events of a channel are taken, if the plan of the cluster is sealed. O(CHANNELS).
+    pub(crate) fn set_publishers(&mut self, subject: Subject, publishers: Option<&'static TxNodes>) {
+        let Some(at) = self.find(subject) else { return };
+        if let Some(entry) = self.entry_mut(at as u8) {
+            entry.publishers = publishers;
+        }
+        self.update(at as u8);
     }
 
     /// The HRT message buffer through which a hard real-time channel is published.
@@ -221,6 +201,10 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let mut next = entry.first_subscription;
         if next == NONE {
             return Accepted::Foreign;
+        }
+        if entry.publishers.is_some_and(|publishers| !publishers.contains(frame.id.tx_node())) {
+            entry.counters.unplanned = entry.counters.unplanned.wrapping_add(1);
+            return Accepted::Unplanned(entry.declared.subject);
         }
         let mut context = Context::EMPTY;
         if entry.declared.context {
@@ -396,6 +380,9 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     /// The entry of a channel, made if there is none.
     #[allow(clippy::indexing_slicing, reason = "the place was found or is free, by its number")]
     fn enter(&mut self, declared: &Declared) -> Result<u8, AnnounceError> {
+        if declared.subject == Subject::RESERVED {
+            return Err(AnnounceError::ReservedSubject);
+        }
         let found = self.find(declared.subject);
         let former = found.and_then(|at| self.channels[at].as_ref());
         if let (Some(at), Some(entry)) = (found, former)
@@ -458,7 +445,8 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         entry.outlet = if guarded { Outlet::CLOSED } else { outlet };
         entry.guard.outlet = if guarded { outlet } else { Outlet::CLOSED };
         let awaited = entry.declared.patience().is_some();
-        let plain = entry.subscriptions == 1 && !entry.declared.context && !awaited;
+        let plain =
+            entry.subscriptions == 1 && !entry.declared.context && !awaited && entry.publishers.is_none();
         let only = if plain { entry.first_subscription } else { NONE };
         if let Some(etag) = entry.etag {
             // It is there already, so there is a place.

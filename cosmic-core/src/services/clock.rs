@@ -4,8 +4,10 @@ use super::{Declaration, NodeView, Request, Services, TooMany};
 use crate::calendar::Calendar;
 use crate::can::{Frame, TxNode};
 use crate::event_layer::ExceptionKind;
+use crate::seal::{Refusals, Seal, TxNodes, Warden};
 use crate::sync::{ClockEvent, ClockSync, SyncConfig, SyncConfigError, SyncCounters};
 use crate::time::{Duration, GlobalClock, Instant};
+use crate::uid::Subject;
 
 /// Clock synchronisation alone: for a cluster whose ids and etags are all fixed.
 #[derive(Clone, Debug)]
@@ -20,6 +22,7 @@ pub struct ClockService {
     duplicate: bool,
     /// The next one is told from then on.
     tells_again_at: Instant,
+    warden: Option<Warden>,
 }
 
 /// Between two exceptions because of frames that bear this node's own TxNode.
@@ -48,7 +51,20 @@ impl ClockService {
             tx_node,
             duplicate: false,
             tells_again_at: Instant::EPOCH,
+            warden: None,
         })
+    }
+
+    /// The service of a node of a sealed cluster, which believes only what agrees with this; `None` leaves it open.
+    #[must_use]
+    pub fn sealed(mut self, seal: Option<&'static Seal>) -> Self {
+        self.warden = seal.map(Warden::new);
+        self
+    }
+
+    /// What a sealed node has refused; `None` in an open cluster.
+    pub fn refusals(&self) -> Option<&Refusals> {
+        self.warden.as_ref().map(Warden::refusals)
     }
 
     /// The clock as of the last call.
@@ -111,6 +127,10 @@ impl ClockService {
 
 impl Services for ClockService {
     fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
+        let own = self.tx_node;
+        if self.warden.as_mut().is_some_and(|warden| !warden.admits(frame, received_at, own)) {
+            return;
+        }
         // No node hears itself, so another one uses this TxNode.
         if self.tx_node == Some(frame.id.tx_node()) && received_at >= self.tells_again_at {
             self.duplicate = true;
@@ -123,11 +143,22 @@ impl Services for ClockService {
         self.sync.on_sent(frame, sent_at);
     }
 
+    fn permits(&self, declaration: &Declaration) -> bool {
+        self.warden.as_ref().is_none_or(|warden| warden.seal().permits(self.tx_node, declaration))
+    }
+
+    fn publishers(&self, subject: Subject) -> Option<&'static TxNodes> {
+        self.warden.as_ref().map(|warden| warden.seal().publishers(subject))
+    }
+
     fn declare(&mut self, _: &Declaration) -> Result<(), TooMany> {
         Ok(())
     }
 
     fn poll(&mut self, now: Instant, _: &NodeView) -> Option<Request> {
+        if let Some(kind) = self.warden.as_mut().and_then(Warden::take) {
+            return Some(Request::Exception(None, kind));
+        }
         if core::mem::take(&mut self.duplicate) {
             return Some(Request::Exception(None, ExceptionKind::DuplicateTxNode));
         }

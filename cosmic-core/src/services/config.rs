@@ -6,6 +6,7 @@ use crate::can::TxNode;
 use crate::client::{BindingTiming, ConfigurationEvent, ConfigurationTiming, OnDuplicate};
 use crate::membership::{InterestEvent, MemberEvent};
 use crate::protocol::Lease;
+use crate::seal::Seal;
 use crate::sync::{ClockEvent, SyncConfig};
 use crate::time::Duration;
 use crate::uid::NodeUid;
@@ -33,6 +34,9 @@ pub struct NodeConfig {
     pub lease: Lease,
     /// The span between two status frames; a node is taken for dead after three and a half.
     pub status_period: Duration,
+    /// What the node believes of others, in a sealed cluster. Its TxNode is then that of the seal, and it
+    /// [stays](OnDuplicate::Stay), whoever else uses it. A node whose UID is not there keeps silent.
+    pub seal: Option<&'static Seal>,
 }
 
 impl NodeConfig {
@@ -48,6 +52,7 @@ impl NodeConfig {
             binding: BindingTiming::DEFAULT,
             lease: DEFAULT_LEASE,
             status_period: Duration::from_millis(500),
+            seal: None,
         }
     }
 

@@ -18,6 +18,7 @@ pub use node::NodeServices;
 use crate::can::{ErrorCounters, Etag, Frame, Id, TxNode};
 use crate::event_layer::ExceptionKind;
 use crate::protocol::{Class, LayoutHash};
+use crate::seal::TxNodes;
 use crate::time::{GlobalClock, Instant};
 use crate::uid::Subject;
 
@@ -98,6 +99,16 @@ pub trait Services {
     fn on_frame(&mut self, frame: &Frame, received_at: Instant);
     /// A frame of a service has been sent.
     fn on_sent(&mut self, frame: &Frame, sent_at: Instant);
+    /// Returns whether the node may do that. In a sealed cluster only what its plan says.
+    fn permits(&self, declaration: &Declaration) -> bool {
+        let _ = declaration;
+        true
+    }
+    /// Who may publish on a channel, if that is fixed.
+    fn publishers(&self, subject: Subject) -> Option<&'static TxNodes> {
+        let _ = subject;
+        None
+    }
     /// The node has begun or ended to publish or subscribe.
     ///
     /// # Errors

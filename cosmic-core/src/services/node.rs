@@ -2,12 +2,13 @@
 
 use super::{Declaration, Hosted, News, NodeConfig, NodeView, Request, Services, TooMany};
 use crate::calendar::Calendar;
-use crate::can::{Etag, Frame, Id, TxNode};
-use crate::client::{Binding, BindingEvent, Configuration, ConfigurationEvent};
+use crate::can::{Etag, Frame, Id, Priority, TxNode};
+use crate::client::{Binding, BindingEvent, Configuration, ConfigurationEvent, OnDuplicate};
 use crate::event_layer::ExceptionKind;
 use crate::membership::{Declarations, Health, Interests, MemberEvent, Members, StatusReport};
 use crate::protocol::{Class, LayoutHash, NodeState, Output, Side};
 use crate::ring::Ring;
+use crate::seal::{Contradiction, Refusals, TxNodes, Warden};
 use crate::services::ClockService;
 use crate::sync::SyncConfigError;
 use crate::time::{Duration, Instant};
@@ -51,6 +52,9 @@ pub struct NodeServices<
     members: Members<PEERS>,
     report: StatusReport,
     broker: B,
+    /// The plan does not keep this node from it.
+    may_be_broker: bool,
+    warden: Option<Warden>,
     requests: Ring<Request, 4>,
     news: Ring<News, 16>,
     news_dropped: u16,
@@ -74,11 +78,13 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     ) -> Result<Self, SyncConfigError> {
         const { assert!(DECLARATIONS >= 2 * CHANNELS, "two declarations for each channel") };
         let &NodeConfig { uid, noise, status_period, .. } = config;
-        let configuration = match config.tx_node {
-            Some(tx_node) => Configuration::fixed(now, uid, tx_node, noise, config.configuration)
-                .on_duplicate(config.on_duplicate(tx_node, calendar)),
-            None => Configuration::new(now, uid, noise, config.configuration),
-        };
+        let configuration = configuration_of(config, calendar, now);
+        let mut warden = config.seal.map(Warden::new);
+        if let Some(warden) = warden.as_mut().filter(|warden| warden.seal().node_of(uid).is_none()) {
+            // The node itself: it has no id, and the one of the broker stands in.
+            let id = Id::new(Priority::CONFIGURATION, TxNode::BROKER, Etag::NODE_IDENTITY);
+            warden.refuse(Contradiction::Node, id, now);
+        }
         let silence = Duration::from_ticks(status_period.as_ticks().saturating_mul(7) / 2);
         Ok(Self {
             clock: ClockService::new(config.clock, calendar, None, now)?,
@@ -90,6 +96,8 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             members: Members::new(silence),
             report: StatusReport::new(now, status_period),
             broker,
+            may_be_broker: config.seal.is_none_or(|seal| seal.may_be_broker(uid)),
+            warden,
             requests: Ring::new(),
             news: Ring::new(),
             news_dropped: 0,
@@ -137,6 +145,11 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         &self.broker
     }
 
+    /// What a sealed node has refused; `None` in an open cluster.
+    pub fn refusals(&self) -> Option<&Refusals> {
+        self.warden.as_ref().map(Warden::refusals)
+    }
+
     /// Gives the TxNode back to the broker, for good: the node falls silent.
     pub fn release(&mut self) {
         self.idle_until = Instant::EPOCH;
@@ -158,7 +171,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         self.clock.set_tx_node(tx_node);
         self.binding.set_tx_node(tx_node);
         self.declarations.set_tx_node(now, tx_node);
-        self.broker.set_tx_node(now, tx_node);
+        self.broker.set_tx_node(now, tx_node.filter(|_| self.may_be_broker));
         self.ask(Request::TxNode(tx_node));
     }
 
@@ -344,6 +357,10 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         self.idle_until = Instant::EPOCH;
+        let own = self.configuration.claimed();
+        if self.warden.as_mut().is_some_and(|warden| !warden.admits(frame, received_at, own)) {
+            return;
+        }
         self.configuration.on_frame(frame, received_at);
         match frame.id.etag() {
             Etag::SYNC | Etag::FOLLOW_UP => return self.clock.on_sync_frame(frame, received_at),
@@ -371,6 +388,16 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     fn on_sent(&mut self, frame: &Frame, sent_at: Instant) {
         self.idle_until = Instant::EPOCH;
         self.clock.on_sent(frame, sent_at);
+    }
+
+    fn permits(&self, declaration: &Declaration) -> bool {
+        self.warden
+            .as_ref()
+            .is_none_or(|warden| warden.seal().permits(self.configuration.claimed(), declaration))
+    }
+
+    fn publishers(&self, subject: Subject) -> Option<&'static TxNodes> {
+        self.warden.as_ref().map(|warden| warden.seal().publishers(subject))
     }
 
     #[allow(clippy::indexing_slicing, reason = "the place was found by its number")]
@@ -410,6 +437,9 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         if let Some(request) = self.requests.pop() {
             return Some(request);
         }
+        if let Some(kind) = self.warden.as_mut().and_then(Warden::take) {
+            return Some(Request::Exception(None, kind));
+        }
         self.declare_changed(now);
         let request = (self.poll_configuration(now))
             .or_else(|| self.clock.poll_sync(now))
@@ -440,5 +470,23 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     fn next_urgent_wakeup(&self) -> Instant {
         self.clock.next_wakeup()
+    }
+}
+
+/// How a node gets its TxNode. One that a sealed plan does not know gets none.
+fn configuration_of(config: &NodeConfig, calendar: &Calendar, now: Instant) -> Configuration {
+    let &NodeConfig { uid, noise, configuration: timing, .. } = config;
+    let fixed = |tx_node| Configuration::fixed(now, uid, tx_node, noise, timing);
+    match (config.seal, config.tx_node) {
+        (Some(seal), _) => match seal.node_of(uid) {
+            Some(node) => fixed(node.tx_node).on_duplicate(OnDuplicate::Stay),
+            None => {
+                let mut silent = Configuration::new(now, uid, noise, timing);
+                silent.release();
+                silent
+            }
+        },
+        (None, Some(tx_node)) => fixed(tx_node).on_duplicate(config.on_duplicate(tx_node, calendar)),
+        (None, None) => Configuration::new(now, uid, noise, timing),
     }
 }

@@ -372,3 +372,45 @@ fn the_hosts_own_id_is_never_given_away() {
     );
     assert_eq!(broker.nodes().uid_of(TxNode::MAX), Some(uid(0xB1)));
 }
+
+/// Two of one UID by mistake: the one with the lower TxNode stays, and both owners are told. That both go and come
+/// back for ever would leave nobody to answer.
+#[test]
+fn of_two_active_brokers_with_one_uid_one_stays() {
+    let mut broker = active(&[]);
+    while broker.poll(at(303)).is_some() {}
+    broker.on_frame(&status(0xB1, HOST + 1), at(400));
+    let told = Some(Output::Event(BrokerEvent::Namesake(tx_node(HOST + 1))));
+    assert_eq!((broker.role(), broker.poll(at(400))), (BrokerRole::Active, told));
+    for now in 401..1_000 {
+        broker.on_frame(&status(0xB1, HOST + 1), at(now));
+        let outputs: Vec<_> = core::iter::from_fn(|| broker.poll(at(now))).collect();
+        assert!(!outputs.contains(&told.unwrap()), "told once");
+    }
+    assert_eq!(broker.role(), BrokerRole::Active);
+    broker.on_frame(&status(0xB1, HOST - 1), at(1_000));
+    assert_eq!(broker.role(), BrokerRole::Standby);
+}
+
+/// 32 at once, and then one every 4 ms: from whomever they come, and even if the clock is set back.
+#[test]
+fn a_flood_of_get_etag_is_answered_so_many_times_a_second() {
+    let flood = |broker: &mut SmallBroker, span: core::ops::Range<u64>| {
+        let mut answers = 0;
+        for (request, now) in span.flat_map(|now| (0..10).map(move |request| (request, now))) {
+            let requester = tx_node(1 + (request % 100) as u8);
+            broker.on_frame(&GetEtag { requester, subject: subject(1) }.encode(), at(now));
+            let sent = frames(broker, at(now));
+            answers += sent.iter().filter(|frame| frame.id.etag() == Etag::SUPPLY_ETAG).count();
+        }
+        answers
+    };
+    let mut broker = active(&[]);
+    let repeated = 2 * 1000 / 250;
+    let answers = flood(&mut broker, 1_000..2_000);
+    assert!((2 * 280..=2 * 283 + repeated).contains(&answers), "{answers}");
+    assert!(broker.counters().replies_dropped > 9_000);
+    // Back at the start, the bucket is empty and fills again.
+    let answers = flood(&mut broker, 400..500);
+    assert!((2 * 24..=2 * 26 + repeated).contains(&answers), "{answers}");
+}

@@ -52,6 +52,12 @@ pub struct SegmentTable {
     /// How late a node may act on an instant that has come.
     #[cfg_attr(feature = "cli", schemars(required))]
     pub release_jitter: Option<At<Span>>,
+    /// Do nodes believe only what agrees with this file: who is time master, which node has which short id, which
+    /// subject which etag, who publishes what? Needs `binding = "static"`. False if not given.
+    pub sealed: Option<At<bool>>,
+    /// Names of the nodes that may host an event channel broker in a sealed cluster; none if not given.
+    #[cfg_attr(feature = "cli", schemars(default))]
+    pub brokers: Vec<At<String>>,
     /// How etags of soft and non real-time channels are found; "static" if not given.
     pub binding: Option<At<BindingName>>,
     /// How often the clock master sends sync and follow-up; "100 ms" if not given, "0 s" for never.
@@ -297,6 +303,8 @@ fn read_segment(table: &Table<'_>) -> SegmentTable {
         bit_rate: table.required("bit_rate", "write bit_rate = \"1 Mbit/s\" or slower"),
         clock_accuracy: table.required("clock_accuracy", "write how far clocks may be off, such as \"5 us\""),
         release_jitter: table.required("release_jitter", "write how late a node may act, such as \"10 us\""),
+        sealed: table.optional("sealed"),
+        brokers: table.list("brokers"),
         binding: table.optional("binding"),
         sync_period: table.optional("sync_period"),
         stamp_latency: table.optional("stamp_latency"),

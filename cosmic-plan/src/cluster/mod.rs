@@ -30,6 +30,8 @@ pub struct Cluster {
     pub name: String,
     /// Bit rate, clock accuracy and release jitter.
     pub segment: Segment,
+    /// The nodes that may host a broker, as positions in [`Cluster::nodes`], if the cluster is sealed.
+    pub sealed: Option<Vec<usize>>,
     /// How etags of soft and non real-time channels are found.
     pub binding: Binding,
     /// Δt_p: the span of deadlines that one priority stands for.

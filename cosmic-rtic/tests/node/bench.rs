@@ -170,6 +170,7 @@ pub(crate) const PLAN: NodePlan = NodePlan {
     sync: None,
     filters: &[],
     calendar: &CALENDAR,
+    seal: None,
     publishes: &[],
     subscribes: &[],
 };

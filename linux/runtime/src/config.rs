@@ -46,7 +46,7 @@ impl Config {
     pub fn of_plan(plan: &NodePlan) -> Self {
         let clock = plan.sync.unwrap_or(SyncConfig::DEFAULT);
         let new = Self::new(plan.uid);
-        let node = NodeConfig { tx_node: Some(plan.tx_node), clock, ..new.node };
+        let node = NodeConfig { tx_node: Some(plan.tx_node), clock, seal: plan.seal, ..new.node };
         Self { node, calendar: plan.calendar, ..new }
     }
 

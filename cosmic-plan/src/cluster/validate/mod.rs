@@ -1,6 +1,7 @@
 //! From the tables of a file to a cluster that can only be valid.
 
 mod recurrence;
+mod sealing;
 mod segment;
 
 use super::contents::Contents;
@@ -63,6 +64,7 @@ impl Checker<'_> {
         let cluster = Cluster {
             name: name_of(&file.segment.name).to_owned(),
             segment,
+            sealed: self.sealing(&file.segment, &file.node),
             binding,
             priority_step,
             slow_refill: file.segment.slow_refill.as_ref().is_some_and(|at| at.value),
@@ -87,6 +89,7 @@ impl Checker<'_> {
         };
         self.clock(&file.segment, &cluster);
         self.use_of_channels(file, &cluster);
+        self.reserved_subjects(&file.channel);
         self.hyperperiod(file, &cluster);
         let pools = file.pool.iter().map(|pool| self.pool(pool, &cluster)).collect();
         Cluster { pools, ..cluster }

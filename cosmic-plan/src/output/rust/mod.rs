@@ -9,6 +9,7 @@
 mod channels;
 mod contents;
 mod nodes;
+mod seal;
 
 use crate::cluster::Cluster;
 use crate::needs::Needs;
@@ -60,6 +61,7 @@ pub fn render(
     let _ = write_needs(&mut out, Needs::of(cluster, plan));
     let _ = contents::write(&mut out, cluster, derives);
     let _ = channels::write(&mut out, cluster, plan);
+    let _ = seal::write(&mut out, cluster);
     let _ = nodes::write(&mut out, cluster, &filters);
     Ok(out)
 }

@@ -142,12 +142,12 @@ fn theirs(unicorn: &mut Unicorn<'static, ()>, before: &State, first: u16, second
         Ok(()) | Err(uc_error::FETCH_UNMAPPED | uc_error::FETCH_PROT) => {}
         Err(uc_error::INSN_INVALID) => return Theirs::Undefined,
         Err(uc_error::READ_UNMAPPED | uc_error::WRITE_UNMAPPED | uc_error::WRITE_PROT) => {
-            return Theirs::Fault;
+            return Theirs::CpuFault;
         }
         Err(_) => {
             // It does not recover from an exception.
             *unicorn = other_core();
-            return Theirs::Fault;
+            return Theirs::CpuFault;
         }
     }
     let read = |register: i32| unicorn.reg_read(register).unwrap() as u32;
@@ -262,7 +262,7 @@ fn both_cores_agree() {
         let what = match (&our_state, &their_state) {
             (Some(a), Theirs::Done(b)) => difference(a, b),
             (None, Theirs::Done(_)) => Some("fault here only".to_owned()),
-            (Some(_), Theirs::Fault) => Some("fault there only".to_owned()),
+            (Some(_), Theirs::CpuFault) => Some("fault there only".to_owned()),
             _ => None,
         };
         if let Some(what) = what {
