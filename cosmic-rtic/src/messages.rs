@@ -1,4 +1,5 @@
-//! Messages longer than a frame: a task waits until one is complete, or has left the node.
+//! Messages longer than a frame: a task waits until one is complete, or has left the node. The observer is told of
+//! each of their frames, as of an event.
 
 use core::future::poll_fn;
 use core::marker::PhantomData;
@@ -7,7 +8,7 @@ use core::task::{Poll, Waker};
 use cosmic_core::Half as _;
 use cosmic_core::can::{Payload, TxNode};
 use cosmic_core::event_layer::{
-    self, AnnounceError, Channel, Content, Depth, Filter, MessageChannel, Policy, PublishError,
+    self, AnnounceError, Channel, Content, Delivered, Depth, Filter, MessageChannel, Policy, PublishError,
     SubscribeError,
 };
 use cosmic_core::network::fragments::ReassemblyCounters;
@@ -16,11 +17,13 @@ use rtic_core::Mutex;
 
 use crate::board::Board as _;
 use crate::node::Node;
+use crate::observer::Observes;
 use crate::system::System;
 
 /// The right to publish messages of up to `LEN` bytes on a channel. One for each channel and node.
 #[derive(Debug)]
 pub struct MessagePublisher<C, const LEN: usize> {
+    fragments: Channel<Payload>,
     inner: event_layer::MessagePublisher<LEN>,
     content: PhantomData<fn(&C)>,
 }
@@ -63,8 +66,10 @@ impl<C: Content, const LEN: usize> MessagePublisher<C, LEN> {
         channel: &MessageChannel<C, LEN, PUBLISHERS>,
         node: &mut impl Mutex<T = Node<T>>,
     ) -> Result<Self, AnnounceError> {
-        let publication = node.lock(|node| node.announce(channel.fragments()))?;
-        Ok(Self { inner: event_layer::MessagePublisher::new(publication), content: PhantomData })
+        let fragments = *channel.fragments();
+        let publication = node.lock(|node| node.announce(&fragments))?;
+        let inner = event_layer::MessagePublisher::new(publication);
+        Ok(Self { fragments, inner, content: PhantomData })
     }
 
     /// Sends a message, and waits until all of it has left the node. Frames of others come in between.
@@ -73,11 +78,14 @@ impl<C: Content, const LEN: usize> MessagePublisher<C, LEN> {
     ///
     /// # Errors
     /// [`MessageError`]: nobody has received the message.
-    pub async fn publish<T: System>(
+    pub async fn publish<T>(
         &mut self,
         content: &C,
         node: &mut impl Mutex<T = Node<T>>,
-    ) -> Result<(), MessageError> {
+    ) -> Result<(), MessageError>
+    where
+        T: System<Observer: Observes<Payload>>,
+    {
         // Of a call before that was given up, it is no concern of this one how its message ended.
         let _ = self.departure(node).await;
         // It fits, which the type of the channel says, and nothing is under way.
@@ -86,10 +94,13 @@ impl<C: Content, const LEN: usize> MessagePublisher<C, LEN> {
     }
 
     /// Waits until nothing is under way any more.
-    async fn departure<T: System>(&mut self, node: &mut impl Mutex<T = Node<T>>) -> Result<(), MessageError> {
+    async fn departure<T>(&mut self, node: &mut impl Mutex<T = Node<T>>) -> Result<(), MessageError>
+    where
+        T: System<Observer: Observes<Payload>>,
+    {
         let discarded = self.inner.discarded();
-        let publisher = &mut self.inner;
-        poll_fn(|context| node.lock(|node| node.poll_departure(publisher, context.waker())))
+        let (fragments, publisher) = (&self.fragments, &mut self.inner);
+        poll_fn(|context| node.lock(|node| node.poll_departure(fragments, publisher, context.waker())))
             .await
             .map_err(MessageError::Publish)?;
         if self.inner.discarded() == discarded { Ok(()) } else { Err(MessageError::Discarded) }
@@ -120,9 +131,12 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C,
 
     /// Waits for the next message. One whose bytes are no value of the channel's type is passed over, with
     /// an exception.
-    pub async fn next<T: System>(&mut self, node: &mut impl Mutex<T = Node<T>>) -> Message<C> {
-        let subscriber = &mut self.inner;
-        poll_fn(|context| node.lock(|node| node.poll_message(subscriber, context.waker()))).await
+    pub async fn next<T>(&mut self, node: &mut impl Mutex<T = Node<T>>) -> Message<C>
+    where
+        T: System<Observer: Observes<Payload>>,
+    {
+        let (fragments, subscriber) = (&self.fragments, &mut self.inner);
+        poll_fn(|context| node.lock(|node| node.poll_message(fragments, subscriber, context.waker()))).await
     }
 
     /// What was delivered and dropped.
@@ -136,19 +150,29 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C,
     }
 }
 
-impl<T: System> Node<T> {
+impl<T> Node<T>
+where
+    T: System<Observer: Observes<Payload>>,
+{
     /// Sends the next frame of a message if it is time to; ready when none is left.
     fn poll_departure<const LEN: usize>(
         &mut self,
+        fragments: &Channel<Payload>,
         publisher: &mut event_layer::MessagePublisher<LEN>,
         waker: &Waker,
     ) -> Poll<Result<(), PublishError>> {
         if publisher.is_idle() {
             return Poll::Ready(Ok(()));
         }
-        let sent = self.half.send_message(T::Board::now(), publisher);
+        let now = T::Board::now();
+        let (before, _) = publisher.last_fragment();
+        let sent = self.half.send_message(now, publisher).map(|due| self.carry_out(due));
         self.wake.raise();
-        self.carry_out(sent?);
+        let (after, fragment) = publisher.last_fragment();
+        if after != before {
+            self.observer.published(fragments, &fragment, now, sent);
+        }
+        sent?;
         if publisher.is_idle() {
             return Poll::Ready(Ok(()));
         }
@@ -158,10 +182,14 @@ impl<T: System> Node<T> {
 
     fn poll_message<C: Content, const PLACES: usize, const LEN: usize>(
         &mut self,
+        fragments: &Channel<Payload>,
         subscriber: &mut event_layer::MessageSubscriber<PLACES, LEN>,
         waker: &Waker,
     ) -> Poll<Message<C>> {
-        self.half.poll_message(subscriber, T::Board::now(), waker, |message| {
+        let Self { half, observer, .. } = self;
+        let now = T::Board::now();
+        let each = |fragment: &Delivered<Payload>| observer.delivered(fragments, fragment, now);
+        half.poll_message(subscriber, now, waker, each, |message| {
             let content = C::decode(message.content)?;
             Some(Message { content, publisher: message.publisher })
         })

@@ -2,7 +2,7 @@
 
 use super::{Due, EventHalf, HardAccess, Input, Step, outcome, receive};
 use crate::calendar::Calendar;
-use crate::can::{Frame, Mailbox, Outcome, TxNode};
+use crate::can::{Frame, Mailbox, Outcome, Payload, TxNode};
 use crate::event_layer::{
     AnnounceError, Channel, ChannelCounters, Content, Delivered, Event, Exception, ExceptionKind, Filter,
     MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, SubscribeError, Subscription,
@@ -262,6 +262,7 @@ pub trait Half {
         subscriber: &mut MessageSubscriber<PLACES, LEN>,
         now: Instant,
         waker: &Waker,
+        each: impl FnMut(&Delivered<Payload>),
         decode: impl FnMut(Message<'_>) -> Option<R>,
     ) -> Poll<R>;
 
@@ -380,9 +381,10 @@ impl<
         subscriber: &mut MessageSubscriber<PLACES, LEN>,
         now: Instant,
         waker: &Waker,
+        each: impl FnMut(&Delivered<Payload>),
         decode: impl FnMut(Message<'_>) -> Option<R>,
     ) -> Poll<R> {
-        Self::poll_message(self, subscriber, now, waker, decode)
+        Self::poll_message(self, subscriber, now, waker, each, decode)
     }
 
     fn take_exception(&mut self) -> Option<Exception> {

@@ -284,16 +284,18 @@ impl<
 
     /// Takes the frames that wait until they complete a message that `decode` can read, and returns what it makes of
     /// it. One that it cannot read is passed over, with an exception. If there is none, the next frame wakes the
-    /// task.
+    /// task. `each` is told of every frame.
     pub fn poll_message<const PLACES: usize, const LEN: usize, R>(
         &mut self,
         subscriber: &mut MessageSubscriber<PLACES, LEN>,
         now: Instant,
         waker: &Waker,
+        mut each: impl FnMut(&Delivered<Payload>),
         mut decode: impl FnMut(Message<'_>) -> Option<R>,
     ) -> Poll<R> {
         if let Some(etag) = self.layer.etag_of(subscriber.subscription()) {
             while let Some(fragment) = self.next(subscriber.subscription()) {
+                each(&fragment);
                 match subscriber.take(etag, &fragment).map(&mut decode) {
                     Some(Some(decoded)) => return Poll::Ready(decoded),
                     Some(None) => self.raise_malformed(subscriber.subscription(), fragment.received_at),

@@ -86,12 +86,14 @@ pub struct MessagePublisher<const LEN: usize> {
     fragmenter: Fragmenter<LEN>,
     /// What the channel had sent and discarded when the fragment that is out was published.
     seen: (u32, u32),
+    /// How many fragments there were, and the last one.
+    given: (u32, Payload),
 }
 
 impl<const LEN: usize> MessagePublisher<LEN> {
     /// A sender of messages. Nothing else may be published with this publication.
     pub const fn new(publication: Publication<Payload>) -> Self {
-        Self { publication, fragmenter: Fragmenter::new(), seen: (0, 0) }
+        Self { publication, fragmenter: Fragmenter::new(), seen: (0, 0), given: (0, Payload::EMPTY) }
     }
 
     /// Takes a copy of a message; then call [`send_message`](crate::EventHalf::send_message).
@@ -147,8 +149,15 @@ impl<const LEN: usize> MessagePublisher<LEN> {
         self.fragmenter.is_at_first()
     }
 
+    /// How many fragments were published so far, which wraps, and the last one.
+    pub const fn last_fragment(&self) -> (u32, Payload) {
+        self.given
+    }
+
     pub(crate) fn next(&mut self) -> Option<Payload> {
-        self.fragmenter.poll()
+        let fragment = self.fragmenter.poll()?;
+        self.given = (self.given.0.wrapping_add(1), fragment);
+        Some(fragment)
     }
 
     pub(crate) fn give_up(&mut self) {

@@ -142,6 +142,23 @@ impl Observes<u16> for Notes {
     }
 }
 
+/// Of the frames of messages it writes the header.
+impl Observes<Payload> for Notes {
+    fn published(
+        &mut self,
+        _: &Channel<Payload>,
+        piece: &Payload,
+        _: Instant,
+        result: Result<(), PublishError>,
+    ) {
+        self.0.push(format!("published {:02X} {}", piece.as_slice()[0], result.is_ok()));
+    }
+
+    fn delivered(&mut self, _: &Channel<Payload>, piece: &Delivered<Payload>, _: Instant) {
+        self.0.push(format!("delivered {:02X}", piece.content.as_slice()[0]));
+    }
+}
+
 pub(crate) const SEGMENT: Segment = Segment {
     bit_rate: BitRate::MAX,
     accuracy: Duration::from_micros(50),

@@ -87,6 +87,8 @@ fn the_task_that_publishes_sleeps_until_a_frame_has_left_and_ends_with_the_last(
     }
     assert_eq!(poll(task.as_mut(), &count), Poll::Ready(Ok(())));
     assert!(LOADED.take().is_empty());
+    let told = ["80", "01", "02", "43"].map(|header| format!("published {header} true"));
+    assert_eq!(notes(&node), told, "the observer hears of each frame");
 }
 
 #[test]
@@ -163,6 +165,7 @@ fn the_task_that_subscribes_is_woken_by_frames_and_gets_whole_messages() {
             frames.push(send_loaded(&mut outcomes, &mut events, &node));
         }
     }
+    notes(&node);
     let time_out = Duration::from_millis(100);
     let mut subscriber = MessageSubscriber::subscribe(&LINES, time_out, &mut resource).unwrap();
     count.take();
