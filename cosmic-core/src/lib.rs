@@ -92,6 +92,7 @@
 //! # Where to go from here
 //! * [`calendar`]: slots, and what instants they have;
 //! * [`services`]: what makes a node one of a cluster: configuration, binding, clock, membership;
+//! * [`admission`]: whether a soft channel that the plan does not know still fits;
 //! * [`seal`]: what a node believes of others in a cluster whose plan fixes all;
 //! * [`can::filter_banks`]: acceptance filters from what a node wants;
 //! * `examples/two_nodes.rs`: the above as a program.
@@ -116,6 +117,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod admission;
 pub mod broker;
 pub mod calendar;
 pub mod can;

@@ -87,8 +87,21 @@ impl EventRate {
         self.periodic
     }
 
+    /// How far before its nominal instant an event may come: jitter, and what a burst takes.
+    pub const fn tolerance(&self) -> Duration {
+        self.tolerance
+    }
+
+    /// The same with another interval, jitter and burst in time as they were; `None` if it is zero or too long.
+    pub(crate) const fn with_interval(self, interval: Duration) -> Option<Self> {
+        if interval.is_zero() || interval.as_ticks() > Self::LONGEST.as_ticks() {
+            return None;
+        }
+        Some(Self { interval, ..self })
+    }
+
     /// The interval as it is enforced: shorter, by what two oscillators may differ.
-    const fn enforced(&self) -> Duration {
+    pub(crate) const fn enforced(&self) -> Duration {
         let ticks = self.interval.as_ticks();
         Duration::from_ticks(ticks.saturating_sub(ticks / CLOCKS_DIFFER))
     }

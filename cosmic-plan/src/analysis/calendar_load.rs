@@ -69,6 +69,11 @@ impl CalendarLoad {
         (span / self.cycle).saturating_mul(self.total).saturating_add(rest)
     }
 
+    /// As a node takes it that admits channels.
+    pub(super) fn demand(&self) -> (u64, u64, u64, &[(u64, u64)]) {
+        (self.cycle, self.total, self.slack, &self.steps)
+    }
+
     /// The share of time that the frames take, without faults.
     pub fn utilisation(&self) -> f64 {
         if self.cycle == 0 { 0.0 } else { self.total as f64 / self.cycle as f64 }

@@ -2,7 +2,7 @@
 //!
 //! [`fixed`] has the exact and the sufficient test for fixed priorities, on plain sets of
 //! messages (`set`). [`segment`] applies them, and the test for [earliest deadline first](soft), beside the
-//! calendar. [`sensitivity`] asks how far things could grow. Arithmetic is in whole nanoseconds
+//! calendar. [`reserved`] gives them to nodes that admit channels at run time. [`sensitivity`] asks how far things could grow. Arithmetic is in whole nanoseconds
 //! throughout, so that no rounding decides.
 
 pub mod bus;
@@ -10,6 +10,7 @@ pub mod calendar_load;
 pub mod errors;
 pub mod fixed;
 pub mod frame;
+pub mod reserved;
 pub mod segment;
 pub mod sensitivity;
 #[cfg(feature = "cli")]

@@ -191,10 +191,10 @@ fn hard_proof(cluster: &Cluster, plan: &Plan, planned: &PlannedSlot) -> ChannelP
 }
 
 /// What is on the bus, as streams.
-struct Traffic {
-    bus: Bus,
+pub(super) struct Traffic {
+    pub(super) bus: Bus,
     sync: Vec<Stream>,
-    soft: Vec<(usize, usize, SoftStream)>,
+    pub(super) soft: Vec<(usize, usize, SoftStream)>,
     non_real_time: Vec<(usize, usize, Priority, u64, Stream)>,
     foreign: Vec<(u8, u32, Stream)>,
     longest: u64,
@@ -204,7 +204,7 @@ struct Traffic {
 }
 
 impl Traffic {
-    fn of(cluster: &Cluster, plan: &Plan) -> Self {
+    pub(super) fn of(cluster: &Cluster, plan: &Plan) -> Self {
         let rate = cluster.segment.bit_rate;
         let bit = rate.bit_time().as_ticks();
         let ours = |len: u16| longest_frame_bits(true, u8::try_from(len.min(8)).unwrap_or(8)) * bit;
@@ -251,9 +251,60 @@ impl Traffic {
         }
     }
 
-    fn soft_proofs(&self, cluster: &Cluster) -> Vec<ChannelProof> {
+    /// What goes before all soft frames.
+    pub(super) fn above_soft(&self) -> Vec<Stream> {
         let mut above = self.sync.clone();
         above.extend(self.foreign.iter().filter(|f| f.0 < Priority::CONFIGURATION.get()).map(|f| f.2));
+        above
+    }
+
+    /// Of each non real-time and foreign frame with a deadline: the window in which it must get on the wire, and what
+    /// is free of that.
+    pub(super) fn guarded(&self, cluster: &Cluster) -> Vec<(u64, u64)> {
+        let mut guarded = Vec::new();
+        let slip = if self.slow_refill { self.longest } else { 0 };
+        for &(channel, node, priority, frames, stream) in &self.non_real_time {
+            let Some(deadline) = cluster.channels[channel].deadline else { continue };
+            let higher = self.above(priority.get(), Some((channel, node)));
+            let before = (frames - 1) * (stream.transmission + slip);
+            let limit = deadline.as_ticks().min(stream.period.saturating_sub(stream.jitter));
+            guarded.push(self.room(&higher, stream.transmission, before, limit));
+        }
+        for (at, &(_, _, stream)) in self.foreign.iter().enumerate() {
+            let Some(deadline) = cluster.foreign[at].deadline else { continue };
+            let higher = self.above_foreign(at);
+            let limit = deadline.as_ticks().min(stream.period).saturating_sub(stream.jitter);
+            guarded.push(self.room(&higher, stream.transmission, 0, limit));
+        }
+        guarded
+    }
+
+    /// The window that ends when a frame must be on the wire to be sent at `limit`, and what the sufficient test leaves
+    /// free of it.
+    fn room(&self, higher: &[Stream], transmission: u64, before: u64, limit: u64) -> (u64, u64) {
+        let window = limit.saturating_sub(transmission);
+        let front = self.longest.max(transmission).saturating_add(before);
+        let above = higher.iter().map(|s| s.arrivals(window, self.bus.bit).saturating_mul(s.transmission));
+        let taken = above
+            .fold(front, u64::saturating_add)
+            .saturating_add(self.bus.calendar.within(window.saturating_add(self.bus.bit)))
+            .saturating_add(self.bus.error_overhead(window + transmission, self.longest));
+        (window, window.saturating_sub(taken))
+    }
+
+    fn above_foreign(&self, at: usize) -> Vec<Stream> {
+        let (priority, key, _) = self.foreign[at];
+        let mut higher = self.sync.clone();
+        higher.extend(self.soft.iter().map(|s| s.2.stream));
+        higher.extend(self.foreign.iter().filter(|f| f.1 < key).map(|f| f.2));
+        for &(_, _, _, frames, stream) in self.non_real_time.iter().filter(|n| n.2.get() <= priority) {
+            higher.push(self.event(frames, stream, false));
+        }
+        higher
+    }
+
+    fn soft_proofs(&self, cluster: &Cluster) -> Vec<ChannelProof> {
+        let above = self.above_soft();
         let soft_bus = SoftBus {
             bus: &self.bus,
             above: &above,
@@ -357,13 +408,8 @@ impl Traffic {
     }
 
     fn foreign_proof(&self, cluster: &Cluster, at: usize) -> Proof {
-        let (priority, key, stream) = self.foreign[at];
-        let mut higher = self.sync.clone();
-        higher.extend(self.soft.iter().map(|s| s.2.stream));
-        higher.extend(self.foreign.iter().filter(|f| f.1 < key).map(|f| f.2));
-        for &(_, _, _, frames, stream) in self.non_real_time.iter().filter(|n| n.2.get() <= priority) {
-            higher.push(self.event(frames, stream, false));
-        }
+        let (_, _, stream) = self.foreign[at];
+        let higher = self.above_foreign(at);
         let level = Level { higher: &higher, blocking: self.longest, longest: self.longest };
         let bound = level.sufficient(&stream, &self.bus, 0).filter(|bound| *bound <= stream.period);
         let deadline = cluster.foreign[at].deadline;
