@@ -136,7 +136,7 @@ pub struct ChannelTable {
     /// Its class.
     #[cfg_attr(feature = "cli", schemars(required))]
     pub class: Option<At<ClassName>>,
-    /// What stands in its events: the name of a [[content]].
+    /// What stands in its events: the name of a `[[content]]`.
     pub content: Option<At<String>>,
     /// Bytes of an event at most: 0..=8; non real-time up to 1024, in fragments. That of the content if not given;
     /// must be given if there is none.
