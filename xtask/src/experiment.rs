@@ -1,10 +1,12 @@
 //! Runs an experiment on the simulated bus.
 
 use std::env::consts::EXE_SUFFIX;
+use std::ffi::OsString;
 use std::process::{Command, ExitCode};
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use clap::Args;
+use cosmic_commands::experiment::Arguments;
 
 use crate::run::{self, step};
 use crate::workspace::Workspace;
@@ -20,6 +22,11 @@ pub(crate) struct Options {
 
 /// Builds and runs it. Its exit code is ours.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode> {
+    // Before anything is built.
+    if let Err(refusal) = Arguments::read(options.arguments.iter().map(OsString::from)) {
+        refusal.print().context("writing to the terminal")?;
+        return Ok(ExitCode::from(u8::try_from(refusal.exit_code()).unwrap_or(1)));
+    }
     let mut program = workspace.cargo();
     program.args(["build", "--release", "--package", "cosmic-experiments", "--bin", "experiment"]);
     step("building the experiments", || run::run(&mut program))?;
@@ -29,4 +36,22 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
     let status = run::status(Command::new(program).args(&options.arguments))?;
     // Ended by a signal, it has no code.
     Ok(status.code().and_then(|code| u8::try_from(code).ok()).map_or(ExitCode::FAILURE, ExitCode::from))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// This workspace has nothing that could be built.
+    #[test]
+    fn wrong_options_are_refused_before_anything_is_built() {
+        let workspace = Workspace::at("/nowhere/at/all");
+        let given = |line: &str| Options { arguments: line.split_whitespace().map(str::to_owned).collect() };
+        for line in
+            ["", "edd", "edf --sets -1", "edf --seconds nan", "clock --seconds 1e-9", "scale --load 3"]
+        {
+            assert_eq!(task(&workspace, &given(line)).unwrap(), ExitCode::from(2), "{line}");
+        }
+        assert_eq!(task(&workspace, &given("edf --help")).unwrap(), ExitCode::SUCCESS);
+    }
 }

@@ -92,7 +92,8 @@ mod app {
     async fn brake(mut context: brake::Context) {
         let brake::SharedResources { node, disc, .. } = &mut context.shared;
         let Some(brake_force) = planned(Publisher::announce(&cluster::BRAKE_FORCE, node)) else { return };
-        synchronised(node).await;
+        // The publisher waits for it, too: before, there is nothing that could be missed.
+        settled(node).await;
         let Some(wheel_speed) = planned(Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node)) else {
             return;
         };

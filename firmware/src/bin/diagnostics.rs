@@ -129,7 +129,8 @@ mod app {
     #[task(shared = [node, seen], priority = 1)]
     async fn watch_wheel(mut context: watch_wheel::Context) {
         let watch_wheel::SharedResources { node, seen, .. } = &mut context.shared;
-        synchronised(node).await;
+        // The publisher waits for it, too: before, there is nothing that could be missed.
+        settled(node).await;
         let Some(wheel_speed) = planned(Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node)) else {
             return;
         };

@@ -1,8 +1,8 @@
 //! What the demo, the experiments and `cargo xtask` share as commands.
 //!
-//! The options of the demo stand here and not in the demo, so that `cargo xtask demo` can check them before it
-//! builds the firmware.
+//! The options stand here and not in the programs, so that `cargo xtask` can check them before it builds anything.
 
 pub mod demo;
+pub mod experiment;
 pub mod number;
 pub mod output;

@@ -11,10 +11,9 @@ use crate::nodes::{EMPTY_CALENDAR, hardware_filters};
 use crate::output::{self, Conclusion, Results};
 use crate::random::Random;
 use anyhow::{anyhow, ensure};
-use clap::Args;
 use cosmic_bus::cluster::{Access, Application, ClockErrors, Cluster, NodeConfig};
 use cosmic_bus::{Bus, FaultModel, StationId, VirtualInstant};
-use cosmic_commands::number::within;
+use cosmic_commands::experiment::Clock as Options;
 use cosmic_core::Subject;
 use cosmic_core::can::filter_banks::{Fifo, Wanted};
 use cosmic_core::can::{BitRate, Etag, TxNode};
@@ -25,36 +24,6 @@ use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant, Rate};
 use serde::Serialize;
 use std::fmt;
-use std::path::PathBuf;
-
-/// What `experiment clock` is told.
-#[derive(Args, Clone, Serialize)]
-pub(crate) struct Options {
-    /// Virtual seconds at each load.
-    #[arg(long, value_name = "S", default_value_t = 60, value_parser = within(5..=100_000_u64))]
-    seconds: u64,
-    /// The largest deviation of an oscillator, in parts per million. The master has it upwards, the second
-    /// node downwards, the others are drawn in between.
-    #[arg(long, value_name = "PPM", default_value_t = 50, value_parser = within(0..=200_u16))]
-    drift: u16,
-    /// The span between two sync frames, in milliseconds.
-    #[arg(long, value_name = "MS", default_value_t = 100, value_parser = within(5..=1_000_u64))]
-    period: u64,
-    /// Nodes on the bus.
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = within(2..=100_u8))]
-    nodes: u8,
-    /// Load of the bus by other frames, in percent; several are tried one after the other.
-    #[arg(long, value_name = "PERCENT", value_delimiter = ',', default_value = "0,50,95")]
-    #[arg(value_parser = within(0..=98_u8))]
-    load: Vec<u8>,
-    /// The seed of drifts, delays and traffic.
-    #[arg(long, value_name = "S", default_value_t = 1)]
-    seed: u64,
-    /// Write the results to a file, or to standard output if it is `-`.
-    #[arg(long, value_name = "FILE")]
-    #[serde(skip)]
-    json: Option<PathBuf>,
-}
 
 /// Smallest, mean and largest, in nanoseconds.
 #[derive(Clone, Copy, Serialize)]

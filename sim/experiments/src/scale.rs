@@ -8,10 +8,9 @@ use crate::nodes::hardware_filters;
 use crate::output::{self, Conclusion, Results};
 use crate::random::Random;
 use anyhow::{Context as _, anyhow};
-use clap::{Args, ValueEnum};
 use cosmic_bus::cluster::{Access, Application, ClockErrors, Cluster, NodeConfig};
 use cosmic_bus::{Bus, FaultModel, StationId, TrafficClass};
-use cosmic_commands::number::within;
+use cosmic_commands::experiment::{Extent, Scale as Options};
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::filter_banks::{Fifo, Wanted};
 use cosmic_core::can::{BitRate, Etag, TxNode};
@@ -28,41 +27,7 @@ use cpu_time::ProcessTime;
 use serde::Serialize;
 use std::cell::Cell;
 use std::fmt;
-use std::path::PathBuf;
 use std::rc::Rc;
-
-/// What `experiment scale` is told.
-#[derive(Args, Serialize)]
-pub(crate) struct Options {
-    /// Nodes on the bus.
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = within(10..=127_u8))]
-    nodes: u8,
-    /// Virtual seconds that are measured, after two in which the clocks synchronise.
-    #[arg(long, value_name = "S", default_value_t = 20, value_parser = within(1..=100_000_u64))]
-    seconds: u64,
-    /// Services that every node takes part in.
-    #[arg(long, value_enum, default_value_t = Extent::All)]
-    services: Extent,
-    /// The seed of drifts and delays.
-    #[arg(long, value_name = "S", default_value_t = 1)]
-    seed: u64,
-    /// Fail if fewer virtual seconds are simulated in a second of processor time.
-    #[arg(long, value_name = "RATIO")]
-    at_least: Option<f64>,
-    /// Write the results to a file, or to standard output if it is `-`.
-    #[arg(long, value_name = "FILE")]
-    #[serde(skip)]
-    json: Option<PathBuf>,
-}
-
-#[derive(ValueEnum, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-enum Extent {
-    /// Clock synchronisation.
-    Clock,
-    /// Clock synchronisation, node identity, interest, node status; ids and etags are fixed.
-    All,
-}
 
 #[derive(Serialize)]
 struct Report<'o> {

@@ -90,11 +90,11 @@ fn wrong_arguments_are_refused_with_a_remedy() {
     for (arguments, code, remedy) in [
         ("--sets 0", 2, "from 1 to 100000"),
         ("--nodes 101", 2, "from 1 to 100"),
-        ("--shortest-period 20 --longest-period 10", 1, "the shortest first"),
-        ("--shortest-period NaN", 1, "choose 1 to 10000 ms"),
+        ("--shortest-period 20 --longest-period 10", 2, "is longer than --longest-period"),
+        ("--shortest-period NaN", 2, "must be from 1 to 10000"),
         ("--shortest-period 900 --longest-period 1000", 1, "choose a smaller --longest-period"),
-        ("--seconds=-1", 1, "choose 0.01 to 1000"),
-        ("--seconds -1", 1, "choose 0.01 to 1000"),
+        ("--seconds=-1", 2, "must be from 0.01 to 1000"),
+        ("--seconds -1", 2, "must be from 0.01 to 1000"),
         ("--sets -1", 2, "from 1 to 100000"),
     ] {
         let output = experiment(arguments);

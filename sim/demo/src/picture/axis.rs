@@ -20,5 +20,8 @@ pub(super) fn draw(scale: &Scale, y: f64, step: Duration, decimals: usize) -> Gr
             .add(Label::new(&text, 11.0).anchor(Anchor::Middle).ink(FAINT_INK).at(x, y + 18.0));
     }
     let name = Label::new("ms", 11.0).ink(FAINT_INK).anchor(Anchor::End);
-    group.add(name.at(scale.left - 12.0, y + 18.0))
+    group.add(name.at(scale.left - UNIT_GAP, y + 18.0))
 }
+
+/// From the first mark to the unit: half of what stands at the mark, and a space.
+pub(super) const UNIT_GAP: f64 = 32.0;

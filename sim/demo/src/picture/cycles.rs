@@ -2,12 +2,13 @@
 
 use cosmic_bus::VirtualInstant;
 use cosmic_core::time::Duration;
-use svg::node::element::Group;
+use svg::node::element::{Group, Text};
 
+use super::axis::UNIT_GAP;
 use super::canvas::{Anchor, Area, Label, Scale, line};
 use super::frames::{self, Lane};
 use super::palette::{FAINT_INK, INK, LANE, MARK, WINDOW};
-use super::{LEFT, RIGHT};
+use super::{LEFT, RIGHT, WIDTH};
 use crate::hard::Occurrence;
 use crate::journal::Journal;
 use crate::verdict::Verdict;
@@ -55,11 +56,16 @@ fn window(occurrence: &Occurrence, scale: &Scale, y: f64, in_focus: bool) -> Gro
     let shape = area.rectangle(WINDOW).set("stroke", MARK);
     let width = if in_focus { 2.4 } else { 0.8 };
     let group = Group::new().add(shape.set("stroke-width", width));
-    if in_focus {
-        let label = Label::new("shown above", 10.0).bold().ink(MARK);
-        group.add(label.at(right + 4.0, y + 10.5))
+    if in_focus { group.add(shown_above(left, right, y)) } else { group }
+}
+
+/// Beside the slot in focus, on that side where there is room.
+fn shown_above(left: f64, right: f64, y: f64) -> Text {
+    let label = Label::new("shown above", 10.0).bold().ink(MARK);
+    if right + GAP + label.width() <= WIDTH {
+        label.at(right + GAP, y + 10.5)
     } else {
-        group
+        label.anchor(Anchor::End).at(left - GAP, y + 10.5)
     }
 }
 
@@ -86,8 +92,23 @@ fn axis(cycle: Duration, y: f64) -> Group {
             .add(line((x, y), (x, y + 5.0), INK, 1.2))
             .add(Label::new(&text, 11.0).ink(FAINT_INK).anchor(Anchor::Middle).at(x, y + 18.0));
     }
-    group.add(Label::new("ms", 11.0).ink(FAINT_INK).anchor(Anchor::End).at(LEFT - 12.0, y + 18.0))
+    group.add(Label::new("ms", 11.0).ink(FAINT_INK).anchor(Anchor::End).at(LEFT - UNIT_GAP, y + 18.0))
 }
 
+/// Between a slot and what is said of it.
+const GAP: f64 = 4.0;
 const CYCLES: u64 = 5;
 const ROW: f64 = 54.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_said_of_a_slot_is_never_cut_off() {
+        let place = |right: f64| shown_above(right - 160.0, right, 0.0).to_string();
+        assert!(place(RIGHT - 200.0).contains("start"), "{}", place(RIGHT - 200.0));
+        assert!(place(RIGHT).contains("text-anchor=\"end\""), "{}", place(RIGHT));
+        assert!(place(RIGHT).contains(&format!("x=\"{}\"", RIGHT - 160.0 - GAP)), "{}", place(RIGHT));
+    }
+}

@@ -2,64 +2,10 @@
 
 use crate::random::Random;
 use anyhow::bail;
-use clap::{Args, ValueEnum};
 use cosmic_bus::WireFrame;
-use cosmic_commands::number::within;
+use cosmic_commands::experiment::{Deadlines, Lengths, Shape};
 use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::time::{Duration, Instant};
-use serde::Serialize;
-
-/// What the sets have in common.
-#[derive(Args, Clone, Debug, Serialize)]
-pub(super) struct Shape {
-    /// Nodes on the bus.
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = within(1..=100_u8))]
-    pub(super) nodes: u8,
-    /// The shortest period, in milliseconds. Periods are drawn log-uniformly.
-    #[arg(long, value_name = "MS", default_value_t = 5.0)]
-    shortest_period: f64,
-    /// The longest period, in milliseconds.
-    #[arg(long, value_name = "MS", default_value_t = 100.0)]
-    longest_period: f64,
-    /// Bytes in a frame.
-    #[arg(long, value_enum, default_value_t = Lengths::Full)]
-    lengths: Lengths,
-    /// Relative deadlines.
-    #[arg(long, value_enum, default_value_t = Deadlines::Period)]
-    deadlines: Deadlines,
-}
-
-#[derive(ValueEnum, Clone, Copy, PartialEq, Eq, Debug, Serialize)]
-#[serde(rename_all = "kebab-case")]
-enum Lengths {
-    /// Eight bytes.
-    Full,
-    /// One to eight bytes, drawn for each message.
-    Mixed,
-}
-
-#[derive(ValueEnum, Clone, Copy, PartialEq, Eq, Debug, Serialize)]
-#[serde(rename_all = "kebab-case")]
-enum Deadlines {
-    /// Equal to the period.
-    Period,
-    /// Half a period to a whole one, drawn for each message.
-    Drawn,
-}
-
-impl Shape {
-    pub(super) fn check(&self) -> anyhow::Result<()> {
-        let (shortest, longest) = (self.shortest_period, self.longest_period);
-        // Written so that it refuses what is no number, too.
-        if !(shortest >= 1.0 && longest <= 10_000.0 && shortest <= longest) {
-            bail!(
-                "--shortest-period {shortest} and --longest-period {longest}: choose 1 to 10000 ms, \
-                 the shortest first"
-            );
-        }
-        Ok(())
-    }
-}
 
 /// A periodic message.
 #[derive(Clone, Debug)]

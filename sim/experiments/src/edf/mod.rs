@@ -14,44 +14,16 @@ mod report;
 mod simulation;
 
 use crate::output::{self, Conclusion, Results, Sink};
-use anyhow::ensure;
-use clap::Args;
-use cosmic_commands::number::within;
+use cosmic_commands::experiment::Edf as Options;
 use cosmic_core::can::{BitRate, Payload};
 use cosmic_core::time::{Duration, Instant};
-use message_set::{MessageSet, Shape, Timing};
+use message_set::{MessageSet, Timing};
 use outcome::Run;
 use report::{Breakdown, Report, SetResult};
-use serde::Serialize;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::num::NonZero;
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
-
-/// What `experiment edf` is told.
-#[derive(Args, Serialize)]
-pub(crate) struct Options {
-    /// How many random message sets.
-    #[arg(long, value_name = "N", default_value_t = 50, value_parser = within(1..=100_000_u64))]
-    sets: u64,
-    /// The seed of the first set; each further set has the next.
-    #[arg(long, value_name = "S", default_value_t = 1)]
-    seed: u64,
-    #[command(flatten)]
-    shape: Shape,
-    /// Virtual seconds of each run, of which there are two at each load.
-    #[arg(long, value_name = "SECONDS", default_value_t = 2.0)]
-    seconds: f64,
-    /// Write the results to a file, or to standard output if it is `-`.
-    #[arg(long, value_name = "FILE")]
-    #[serde(skip)]
-    json: Option<PathBuf>,
-    /// Draw the share of schedulable sets over the utilisation into a file.
-    #[arg(long, value_name = "FILE")]
-    #[serde(skip)]
-    svg: Option<PathBuf>,
-}
 
 /// Who is served first.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -74,12 +46,6 @@ const POLICIES: [Policy; 4] = [
 
 /// Does what `experiment edf` is to do.
 pub(crate) fn run(options: &Options) -> anyhow::Result<Conclusion> {
-    options.shape.check()?;
-    ensure!(
-        (0.01..=1_000.0).contains(&options.seconds),
-        "--seconds {}: choose 0.01 to 1000",
-        options.seconds
-    );
     let results = Results::open(options.json.as_deref())?;
     let svg = Sink::open(options.svg.as_deref(), "name another file with --svg")?;
     let report = Report::new(options, measure(options)?);
