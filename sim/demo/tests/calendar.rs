@@ -4,7 +4,7 @@
 
 use std::path::PathBuf;
 
-use cosmic_bus::{Bus, FaultModel, VirtualInstant};
+use cosmic_bus::{Bus, Chance, FaultModel, VirtualInstant};
 use cosmic_core::can::BitRate;
 use cosmic_demo::example::EXAMPLE;
 use cosmic_emu::{Cluster, NodeConfig, ObservationKind};
@@ -22,7 +22,8 @@ fn nothing_below_the_calendar_task_holds_it_up_for_a_microsecond() {
         images.expect("COSMIC_IMAGES names no directory of images: run `cargo xtask test emulated`"),
     );
     // Faults make exceptions, and exceptions logs.
-    let mut cluster = Cluster::new(Bus::new(BitRate::MAX, FaultModel::seeded(1)));
+    let mut cluster =
+        Cluster::new(Bus::new(BitRate::MAX, FaultModel::seeded(1).with_inversion(Chance::new(0.2).unwrap())));
     let add = |node: &cosmic_demo::example::Node| {
         cluster.add_node(NodeConfig::new(node.name, images.join(node.name))).unwrap()
     };
