@@ -1,10 +1,10 @@
-//! Makes a repository with the nodes of a cluster, as a user would have it: a copy of `examples/robot/`.
+//! Makes a repository with the nodes of a cluster, as a user would have it: a copy of one of the `examples/`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use crate::workspace::Workspace;
 
@@ -13,11 +13,30 @@ use crate::workspace::Workspace;
 pub(crate) struct Options {
     /// A folder that does not exist yet, or is empty.
     directory: PathBuf,
+    /// What is in it.
+    #[arg(long, value_enum, default_value_t = Example::Robot)]
+    example: Example,
+}
+
+/// A repository that can be copied.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
+pub(crate) enum Example {
+    /// An arm, a controller and a panel, with a test that runs them on this machine.
+    Robot,
+    /// Six nodes whose contents stand in the description of the cluster, to be run by `cargo xtask demo --apps`.
+    Rover,
 }
 
 /// Makes it, and says how to go on.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
-    make(workspace, &options.directory)?;
+    make(workspace, options.example, &options.directory)?;
+    if options.example == Example::Rover {
+        let folder = options.directory.display();
+        println!("{folder} is a rover of six nodes. From this repository:");
+        println!("  cargo xtask demo --apps {folder}     builds, runs and judges it");
+        println!("There: cargo images builds, cargo flash --bin base flashes.");
+        return Ok(());
+    }
     println!("{} is a cluster of three nodes: arm, controller, panel. There:", options.directory.display());
     println!("  cargo run                  builds the images and runs them on an emulated cluster");
     println!("  cargo test                 the same, as a test");
@@ -28,12 +47,19 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
 
 /// Copies the example. Its dependencies on this repository are named by their full path, its other dependencies
 /// have the versions that were tested here.
-pub(crate) fn make(workspace: &Workspace, directory: &Path) -> Result<()> {
+pub(crate) fn make(workspace: &Workspace, example: Example, directory: &Path) -> Result<()> {
     let is_taken = fs::read_dir(directory).is_ok_and(|mut entries| entries.next().is_some());
     if is_taken || directory.is_file() {
         bail!("{} is not empty; name a folder that does not exist yet", directory.display());
     }
-    copy(&workspace.root().join(EXAMPLE), directory)?;
+    match example {
+        Example::Robot => copy(&workspace.root().join("examples/robot"), directory)?,
+        Example::Rover => {
+            copy(&workspace.root().join("examples/rover"), directory)?;
+            let (from, to) = (workspace.root().join(ROVER), directory.join("cluster.toml"));
+            fs::copy(&from, &to).with_context(|| format!("writing {}", to.display()))?;
+        }
+    }
     let manifest = directory.join(MANIFEST);
     let text = fs::read_to_string(&manifest).with_context(|| format!("reading {}", manifest.display()))?;
     write(&manifest, &with_paths(&text, workspace.root())?)?;
@@ -75,7 +101,8 @@ fn write(path: &Path, text: &str) -> Result<()> {
     fs::write(path, text).with_context(|| format!("writing {}", path.display()))
 }
 
-const EXAMPLE: &str = "examples/robot";
+/// The planner's example is what the rover is built from.
+const ROVER: &str = "cosmic-plan/examples/rover.toml";
 const MANIFEST: &str = "Cargo.toml";
 const LOCK: &str = "Cargo.lock";
 /// What a build leaves behind.
@@ -106,7 +133,7 @@ mod tests {
     fn the_copy_is_whole_and_names_this_repository() {
         let scratch = Scratch::new("copy");
         let workspace = Workspace::find().unwrap();
-        make(&workspace, &scratch.0).unwrap();
+        make(&workspace, Example::Robot, &scratch.0).unwrap();
         for file in ["cluster.toml", "memory.x", "build.rs", ".cargo/config.toml", "src/bin/arm.rs", LOCK] {
             assert!(scratch.0.join(file).is_file(), "{file} is missing");
         }
@@ -120,7 +147,7 @@ mod tests {
     #[test]
     fn an_application_has_at_most_60_lines() {
         let scratch = Scratch::new("lines");
-        make(&Workspace::find().unwrap(), &scratch.0).unwrap();
+        make(&Workspace::find().unwrap(), Example::Robot, &scratch.0).unwrap();
         let applications: Vec<_> = fs::read_dir(scratch.0.join("src/bin")).unwrap().flatten().collect();
         assert!(applications.len() >= 3);
         for application in applications {
@@ -130,11 +157,24 @@ mod tests {
     }
 
     #[test]
+    fn the_rover_has_a_program_for_each_node_of_its_description() {
+        let scratch = Scratch::new("rover");
+        make(&Workspace::find().unwrap(), Example::Rover, &scratch.0).unwrap();
+        let cluster = fs::read_to_string(scratch.0.join("cluster.toml")).unwrap();
+        let nodes = cluster.split("[[node]]\nname = \"").skip(1).map(|rest| rest.split('"').next().unwrap());
+        let nodes: Vec<_> = nodes.collect();
+        assert_eq!(nodes.len(), 6);
+        for node in nodes {
+            assert!(scratch.0.join("src/bin").join(node).with_extension("rs").is_file(), "{node}");
+        }
+    }
+
+    #[test]
     fn what_is_there_is_not_overwritten() {
         let scratch = Scratch::new("taken");
         fs::create_dir_all(&scratch.0).unwrap();
         fs::write(scratch.0.join("mine"), "").unwrap();
-        let error = make(&Workspace::find().unwrap(), &scratch.0).unwrap_err();
+        let error = make(&Workspace::find().unwrap(), Example::Robot, &scratch.0).unwrap_err();
         assert!(
             error.to_string().ends_with("is not empty; name a folder that does not exist yet"),
             "{error}"

@@ -13,7 +13,7 @@ use crate::demo;
 use crate::fuzz;
 use crate::images::{self, PROFILE};
 use crate::linux;
-use crate::new;
+use crate::new::{self, Example};
 use crate::plan;
 use crate::qemu;
 use crate::run::{self, step};
@@ -104,6 +104,7 @@ pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> 
     command.env(IMAGES, directory);
     let mut tally = step("testing the firmware in the emulated cluster", || cargo_test(&mut command))?;
     tally.add(step("testing a new repository, made outside this one", || new_repository(workspace, way)));
+    tally.add(step("testing a rover of six nodes, outside this repository", || rover(workspace, way)));
     Ok(tally)
 }
 
@@ -111,7 +112,18 @@ pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> 
 /// the folder of build products, so that the crates that both use are built once.
 fn new_repository(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let folder = env::temp_dir().join(format!("cosmic-robot-{}", process::id()));
-    let tally = new::make(workspace, &folder).and_then(|()| build_and_test(workspace, way, &folder));
+    let tally =
+        new::make(workspace, Example::Robot, &folder).and_then(|()| build_and_test(workspace, way, &folder));
+    // What a test leaves behind is no failure.
+    let _ = fs::remove_dir_all(&folder);
+    tally
+}
+
+/// Makes the rover as a user would, and has the demo build and judge it.
+fn rover(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
+    let folder = env::temp_dir().join(format!("cosmic-rover-{}", process::id()));
+    let made = new::make(workspace, Example::Rover, &folder);
+    let tally = made.and_then(|()| judged(workspace, way, &folder));
     // What a test leaves behind is no failure.
     let _ = fs::remove_dir_all(&folder);
     tally
