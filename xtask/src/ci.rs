@@ -108,7 +108,10 @@ fn sizes(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let sizes = size::measure_all(&images)?;
     print!("{}", size::table(&sizes));
     panics::check(&images, false)?;
-    size::check(workspace, &sizes)?;
+    // The baseline is of one compiler's code; another one's may differ by some per cent.
+    if *way == TargetWay::Rustup {
+        size::check(workspace, &sizes)?;
+    }
     Ok(Tally::default())
 }
 

@@ -10,6 +10,7 @@ mod build;
 mod ci;
 mod demo;
 mod experiment;
+mod flash;
 mod fuzz;
 mod images;
 mod linux;
@@ -58,6 +59,10 @@ enum Task {
     Bench(bench::Options),
     /// Print flash and RAM of each image, and the share of the middleware.
     Size(size::Options),
+    /// Flash an image that was built onto a board, and start it.
+    Flash(flash::Options),
+    /// Show the log of a board that runs such an image.
+    Attach(flash::Options),
     /// List the places of each image that can end in a panic.
     Panics(panics::Options),
     /// Everything that must hold before a change goes in.
@@ -92,6 +97,8 @@ fn perform(task: Task, workspace: &Workspace) -> anyhow::Result<ExitCode> {
         Task::Test(options) => return suite::task(workspace, &options),
         Task::Bench(options) => return bench::task(workspace, &options),
         Task::Size(options) => size::task(workspace, &options)?,
+        Task::Flash(options) => return flash::task(workspace, &options, flash::Act::Flash),
+        Task::Attach(options) => return flash::task(workspace, &options, flash::Act::Attach),
         Task::Panics(options) => panics::task(workspace, &options)?,
         Task::Ci => return ci::task(workspace),
         Task::New(options) => new::task(workspace, &options)?,

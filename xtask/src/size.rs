@@ -1,13 +1,15 @@
-//! Flash and RAM of the images, and how much of it is the middleware.
+//! Flash and RAM of the images, and how much of it is whose.
 //!
-//! The share of flash is told by source line: the code is optimised across crates, so that most functions
-//! of the middleware have no symbol of their own, but every instruction keeps the line that it came from.
+//! The share of flash is told by owner: the code is optimised across crates, so that most functions of the middleware
+//! have no symbol of their own, but every instruction keeps the chain of functions that it was inlined through. It
+//! counts for the innermost one that is not of the library: what the middleware inlines from `core` is its own.
 //! The share of RAM is told by type: a variable counts if its type contains one of the middleware's.
-//! Constants of the middleware count for none, since nothing tells their origin.
+//! Constants count for none, since nothing tells their origin.
 
 mod attribution;
 mod baseline;
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,6 +20,7 @@ use object::{Object as _, ObjectSection as _, SectionFlags, SectionKind, elf};
 use serde::{Deserialize, Serialize};
 
 use crate::images::{self, Images};
+use crate::program::Program;
 use crate::run::step;
 use crate::workspace::Workspace;
 use baseline::Baseline;
@@ -28,6 +31,9 @@ pub(crate) struct Options {
     /// Write the sizes as JSON to standard output.
     #[arg(long)]
     json: bool,
+    /// Show whose each byte of code is.
+    #[arg(long, conflicts_with = "json")]
+    owners: bool,
     /// Fail if an image has outgrown the baseline in firmware/size-baseline.json.
     #[arg(long, conflicts_with = "update")]
     check: bool,
@@ -53,7 +59,7 @@ pub(crate) struct ImageSize {
 }
 
 /// The sizes of some images, by name.
-pub(crate) type Sizes = std::collections::BTreeMap<String, ImageSize>;
+pub(crate) type Sizes = BTreeMap<String, ImageSize>;
 
 /// Builds the images and shows their sizes.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
@@ -63,6 +69,11 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
         println!("{}", serde_json::to_string_pretty(&sizes)?);
     } else {
         print!("{}", table(&sizes));
+    }
+    if options.owners {
+        for (name, path) in &images {
+            print!("\n{name}\n{}", owners_table(&attribution::owners(&Program::read(path)?)));
+        }
     }
     if options.update {
         Baseline::of(&sizes).write(&baseline_file(workspace))?;
@@ -113,7 +124,7 @@ fn measure_elf(bytes: &[u8]) -> Result<ImageSize> {
         size.flash += if kept.in_flash { section.size() } else { 0 };
         size.ram += if kept.in_ram { section.size() } else { 0 };
     }
-    size.core_flash = attribution::code_bytes(&file, "cosmic-core/src/")?;
+    size.core_flash = attribution::owners(&Program::parse(bytes)?).get("cosmic-core").copied().unwrap_or(0);
     size.core_ram = attribution::variable_bytes(&file, "cosmic_core")?;
     Ok(size)
 }
@@ -154,6 +165,19 @@ pub(crate) fn table(sizes: &Sizes) -> String {
             size.core_ram,
             percent(size.core_ram, size.ram),
         );
+    }
+    text
+}
+
+/// The largest owner first.
+fn owners_table(owners: &BTreeMap<String, u64>) -> String {
+    let whole = owners.values().sum();
+    let mut rows: Vec<_> = owners.iter().collect();
+    rows.sort_by_key(|(_, bytes)| std::cmp::Reverse(**bytes));
+    let mut text = String::new();
+    for (name, &bytes) in rows {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "  {name:<24} {bytes:>7} {:>5} %", percent(bytes, whole));
     }
     text
 }

@@ -1,79 +1,56 @@
 //! Which crate a byte of an image came from, by its debug information.
 
 use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, HashSet};
 
 use anyhow::Result;
-use gimli::{
-    AttributeValue, DebuggingInformationEntry, Dwarf, EndianSlice, LineProgramHeader, RunTimeEndian,
-};
+use gimli::{AttributeValue, DebuggingInformationEntry, Dwarf, EndianSlice, RunTimeEndian};
 use object::{Object as _, ObjectSection as _, SectionKind};
+
+use crate::program::Program;
 
 type Reader<'a> = EndianSlice<'a, RunTimeEndian>;
 type Unit<'a> = gimli::Unit<Reader<'a>>;
 type Entry<'a> = DebuggingInformationEntry<Reader<'a>>;
 type Offset = gimli::UnitOffset<usize>;
 
-/// Bytes of code whose source line is in a file whose path contains `directory`.
+/// Bytes of code by their owner: the crate that the code was written in, or that it was written for.
 ///
-/// Code that was inlined counts for the file that it was written in.
-pub(super) fn code_bytes(file: &object::File<'_>, directory: &str) -> Result<u64> {
-    let sections = Sections::load(file)?;
-    let dwarf = sections.dwarf(file);
-    let text: Vec<(u64, u64)> = file
-        .sections()
-        .filter(|section| section.kind() == SectionKind::Text)
-        .map(|section| (section.address(), section.address() + section.size()))
-        .collect();
-    // Rows of functions that the linker dropped or merged may name one place twice.
-    let mut addresses = BTreeSet::new();
-    let mut units = dwarf.units();
-    while let Some(header) = units.next()? {
-        let unit = dwarf.unit(header)?;
-        let Some(program) = unit.line_program.clone() else { continue };
-        let mut is_ours = HashMap::new();
-        let mut rows = program.rows();
-        let mut open: Option<u64> = None;
-        while let Some((header, row)) = rows.next_row()? {
-            if let Some(start) = open.take().filter(|start| is_in(&text, *start)) {
-                addresses.extend(start..row.address());
-            }
-            if row.end_sequence() {
-                continue;
-            }
-            let index = row.file_index();
-            let ours = match is_ours.get(&index) {
-                Some(&known) => known,
-                None => {
-                    let path = path(&dwarf, &unit, header, index)?;
-                    *is_ours.entry(index).or_insert(path.contains(directory))
-                }
-            };
-            open = ours.then(|| row.address());
+/// What a crate inlines of the library (iterators, integers, slices) is its own: an instruction counts for the innermost
+/// function that is not of the library, of those that were inlined into each other. Functions of the library that stand
+/// alone, and code without debug information, such as that of the start, count for [`LIBRARY`].
+pub(super) fn owners(program: &Program) -> BTreeMap<String, u64> {
+    let mut owners = BTreeMap::new();
+    for piece in program.code() {
+        for address in piece.clone().step_by(2) {
+            let frames = program.frames(address);
+            let owner = frames.iter().find_map(|frame| owner(&frame.file)).unwrap_or(LIBRARY);
+            let bytes = owners.entry(owner.to_owned()).or_default();
+            *bytes += u64::from((piece.end - address).min(2));
         }
     }
-    Ok(addresses.len() as u64)
+    owners
 }
+
+/// The crate that a source file belongs to; `None` for the library.
+fn owner(file: &str) -> Option<&str> {
+    if file.is_empty() || file.contains("/library/") || file.contains("compiler_builtins") {
+        return None;
+    }
+    if let Some((_, rest)) = file.split_once("/registry/src/") {
+        // index/name-version/...
+        let folder = rest.split('/').nth(1)?;
+        return folder.rsplit_once('-').map(|(name, _)| name);
+    }
+    let (before, _) = file.split_once("/src/")?;
+    before.rsplit('/').next()
+}
+
+/// Who owns what nobody else does.
+const LIBRARY: &str = "library and start";
 
 fn is_in(ranges: &[(u64, u64)], address: u64) -> bool {
     ranges.iter().any(|&(start, end)| (start..end).contains(&address))
-}
-
-/// The path of a source file, as far as the line program knows it.
-fn path(
-    dwarf: &Dwarf<Reader<'_>>,
-    unit: &Unit<'_>,
-    header: &LineProgramHeader<Reader<'_>>,
-    index: u64,
-) -> Result<String> {
-    let Some(file) = header.file(index) else { return Ok(String::new()) };
-    let mut path = String::new();
-    if let Some(directory) = file.directory(header) {
-        path.push_str(&dwarf.attr_string(unit, directory)?.to_string_lossy());
-        path.push('/');
-    }
-    path.push_str(&dwarf.attr_string(unit, file.path_name())?.to_string_lossy());
-    Ok(path)
 }
 
 /// Bytes of variables that are of a type of the crate, or parts of variables that are.
@@ -205,5 +182,21 @@ impl<'a> Sections<'a> {
     fn dwarf(&self, file: &object::File<'_>) -> Dwarf<Reader<'_>> {
         let endian = if file.is_little_endian() { RunTimeEndian::Little } else { RunTimeEndian::Big };
         self.0.borrow(|section| EndianSlice::new(section, endian))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_belongs_to_the_crate_that_it_is_in() {
+        let registry =
+            "/home/me/.cargo/registry/src/index.crates.io-1949cf8c6b5b557f/rtic-time-3.0.0/src/lib.rs";
+        assert_eq!(owner(registry), Some("rtic-time"));
+        assert_eq!(owner("/work/cosmic/cosmic-core/src/network/soft/queue.rs"), Some("cosmic-core"));
+        assert_eq!(owner("boards/src/clock.rs"), Some("boards"));
+        assert_eq!(owner("/rustc/59807616e1fa/library/core/src/slice/mod.rs"), None);
+        assert_eq!(owner(""), None);
     }
 }

@@ -12,7 +12,7 @@ use super::Sizes;
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Baseline {
-    /// By how many percent an image may grow. Compilers differ by some.
+    /// By how many percent an image may grow.
     tolerance_percent: u64,
     /// The accepted sizes, in bytes.
     images: Sizes,
@@ -67,10 +67,10 @@ impl Baseline {
     }
 }
 
-const TOLERANCE_PERCENT: u64 = 10;
+const TOLERANCE_PERCENT: u64 = 1;
 
-/// Bytes that any number may grow by: a tenth of almost nothing is nothing.
-const SMALL: u64 = 256;
+/// Bytes that any number may grow by: a hundredth of almost nothing is nothing.
+const SMALL: u64 = 64;
 
 #[cfg(test)]
 mod tests {
@@ -85,17 +85,17 @@ mod tests {
     #[test]
     fn growth_within_the_tolerance_passes() {
         let baseline = Baseline::of(&sizes("sensor", 10_000));
-        assert!(baseline.complaints(&sizes("sensor", 11_000)).is_empty());
+        assert!(baseline.complaints(&sizes("sensor", 10_100)).is_empty());
         assert!(baseline.complaints(&sizes("sensor", 1)).is_empty());
-        let complaints = baseline.complaints(&sizes("sensor", 11_001));
-        assert_eq!(complaints, ["sensor: flash grew from 10000 to 11001 bytes"]);
+        let complaints = baseline.complaints(&sizes("sensor", 10_101));
+        assert_eq!(complaints, ["sensor: flash grew from 10000 to 10101 bytes"]);
     }
 
     #[test]
     fn small_numbers_may_grow_by_more() {
         let baseline = Baseline::of(&sizes("smoke", 100));
-        assert!(baseline.complaints(&sizes("smoke", 356)).is_empty());
-        assert_eq!(baseline.complaints(&sizes("smoke", 357)).len(), 1);
+        assert!(baseline.complaints(&sizes("smoke", 164)).is_empty());
+        assert_eq!(baseline.complaints(&sizes("smoke", 165)).len(), 1);
     }
 
     #[test]
