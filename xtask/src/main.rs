@@ -12,6 +12,7 @@ mod demo;
 mod experiment;
 mod flash;
 mod fuzz;
+mod guide;
 mod images;
 mod linux;
 mod new;

@@ -11,6 +11,7 @@ use crate::apps;
 use crate::bit_rates;
 use crate::demo;
 use crate::fuzz;
+use crate::guide;
 use crate::images::{self, PROFILE};
 use crate::linux;
 use crate::new::{self, Example};
@@ -130,22 +131,58 @@ fn rover(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 }
 
 fn build_and_test(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally> {
-    let mut build = way.cargo(workspace, "build");
-    build.current_dir(folder).args(["--package", "robot", "--profile", PROFILE]);
-    build.env("CARGO_TARGET_DIR", way.target_dir(workspace));
-    run::run(&mut build)?;
+    let tutorial = workspace.root().join("docs/tutorial.md");
+    let tutorial =
+        fs::read_to_string(&tutorial).with_context(|| format!("reading {}", tutorial.display()))?;
+    let mut tally = as_printed(workspace, way, folder, &tutorial)?;
+    tally.add(judged(workspace, way, folder));
+    tally.add(wrong_plan(workspace, way, folder));
+    let guide = guide::text(workspace)?;
+    guide::follow(&guide, folder)?;
+    tally.add(as_printed(workspace, way, folder, &guide));
+    Ok(tally)
+}
+
+/// Builds the images of the repository, runs its own test, and then its program, which says what a document promises.
+fn as_printed(workspace: &Workspace, way: &TargetWay, folder: &Path, document: &str) -> Result<Tally> {
+    run::run(&mut images_of(workspace, way, folder))?;
+    let images = way.target_dir(workspace).join(TRIPLE).join(PROFILE);
     let mut test = workspace.cargo();
     test.current_dir(folder).args(["test", "--no-fail-fast", "--release"]);
-    test.env("CARGO_TARGET_DIR", workspace.target_dir());
-    let images = way.target_dir(workspace).join(TRIPLE).join(PROFILE);
-    test.env(IMAGES, &images);
+    test.env("CARGO_TARGET_DIR", workspace.target_dir()).env(IMAGES, &images);
     let mut tally = cargo_test(&mut test)?;
     let mut program = workspace.cargo();
     program.current_dir(folder).args(["run", "--release"]);
     program.env("CARGO_TARGET_DIR", workspace.target_dir()).env(IMAGES, images);
-    tally.add(as_the_tutorial_prints(workspace, &mut program));
-    tally.add(judged(workspace, way, folder));
+    tally.add(says(&mut program, document));
     Ok(tally)
+}
+
+fn images_of(workspace: &Workspace, way: &TargetWay, folder: &Path) -> process::Command {
+    let mut build = way.cargo(workspace, "build");
+    build.current_dir(folder).args(["--package", "robot", "--profile", PROFILE]);
+    build.env("CARGO_TARGET_DIR", way.target_dir(workspace));
+    build
+}
+
+/// A mistake in the description ends the build, and cargo shows file, line, field and remedy.
+fn wrong_plan(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally> {
+    let path = folder.join(plan::OF_A_REPOSITORY);
+    let right = fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
+    let wrong = right.replacen("period = ", "peroid = ", 1);
+    let line =
+        wrong.lines().position(|line| line.starts_with("peroid")).context("no channel has a period")? + 1;
+    fs::write(&path, &wrong).with_context(|| format!("writing {}", path.display()))?;
+    let built = run::with_complaints(&mut images_of(workspace, way, folder));
+    fs::write(&path, right).with_context(|| format!("writing {}", path.display()))?;
+    let (status, said) = built?;
+    let place = format!("cluster.toml:{line}:");
+    let expected = [place.as_str(), "joint_angle.peroid", "did you mean `period`?", "nothing was built"];
+    let missing: Vec<_> = expected.iter().filter(|text| !said.contains(**text)).collect();
+    if !missing.is_empty() {
+        eprintln!("error: of a wrong cluster.toml the build does not say {missing:?}");
+    }
+    Ok(Tally::one(!status.success() && missing.is_empty()))
 }
 
 /// The demo runs the applications of the repository, and finds nothing wrong.
@@ -160,17 +197,14 @@ fn judged(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally
     Ok(Tally::one(code == 0))
 }
 
-/// The log at the end of the tutorial is what the robot says, but for the instants: these follow from the
-/// instructions of the images.
-fn as_the_tutorial_prints(workspace: &Workspace, program: &mut process::Command) -> Result<Tally> {
-    let tutorial = workspace.root().join("docs/tutorial.md");
-    let tutorial =
-        fs::read_to_string(&tutorial).with_context(|| format!("reading {}", tutorial.display()))?;
-    let promised: Vec<&str> = tutorial.lines().filter_map(said).collect();
+/// The lines of log in a document are what the robot says, but for the instants: these follow from the instructions
+/// of the images.
+fn says(program: &mut process::Command, document: &str) -> Result<Tally> {
+    let promised: Vec<&str> = document.lines().filter_map(said).collect();
     let mut missing = promised.clone();
     run::lines(program, |line| missing.retain(|promise| said(line) != Some(*promise)))?;
     for promise in &missing {
-        eprintln!("error: docs/tutorial.md prints `{promise}`, which the robot does not say");
+        eprintln!("error: the documentation prints `{promise}`, which the robot does not say");
     }
     Ok(Tally::one(!promised.is_empty() && missing.is_empty()))
 }
