@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::{fs, io};
 
 use cosmic_core::calendar::Calendar;
-use cosmic_core::can::{Etag, Payload, TxNode};
+use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::time::Duration;
 use cosmic_plan::cluster as described;
 use cosmic_plan::document::{Problems, Source};
@@ -53,8 +53,6 @@ pub struct Channel {
     pub etag: Etag,
     /// Its class and what that asks for.
     pub class: Promise,
-    /// Whether it carries messages, which take several frames. Of these only the frames are known.
-    pub has_messages: bool,
     /// Who publishes.
     pub publisher: TxNode,
     /// Who subscribes, according to the plan; without the publisher, whose own events never see the bus.
@@ -205,7 +203,6 @@ fn channels(cluster: &described::Cluster, number: usize, etag: Etag) -> Vec<Chan
             number: u16::try_from(number).unwrap_or(u16::MAX),
             etag,
             class,
-            has_messages: usize::from(channel.length) > Payload::MAX_LEN,
             publisher: publisher.tx_node,
             subscribers: subscribers.filter(|node| *node != publisher.tx_node).collect(),
         }

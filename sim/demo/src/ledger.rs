@@ -39,8 +39,6 @@ pub struct Account {
     pub channel: &'static Channel,
     /// Its events, in the order of publication.
     pub events: Vec<Life>,
-    /// Of a channel of messages: how many were sent to their end.
-    pub messages: usize,
 }
 
 /// The life of an event.
@@ -112,7 +110,7 @@ impl Ledger {
     pub fn of(journal: &Journal) -> Self {
         let channels = journal.cluster.channels.iter();
         let mut ledger = Self {
-            channels: channels.map(|channel| Account { channel, events: Vec::new(), messages: 0 }).collect(),
+            channels: channels.map(|channel| Account { channel, events: Vec::new() }).collect(),
             told: Vec::new(),
             subscriptions: Vec::new(),
             lost_records: Vec::new(),
@@ -255,12 +253,6 @@ impl Ledger {
     fn end(&mut self, attempt: &Attempt) {
         let Some(frame) = attempt.frame() else { return };
         let Some(index) = self.index(frame.id.etag(), frame.id.tx_node()) else { return };
-        if self.channels[index].channel.has_messages {
-            let is_last =
-                frame.payload.as_slice().first().is_some_and(|header| header & LAST_OF_A_MESSAGE != 0);
-            self.channels[index].messages += usize::from(is_last && attempt.ending == Ending::Sent);
-            return;
-        }
         let event = attempt.load.and_then(|load| self.event_of(load));
         let Some(life) = event.and_then(|event| self.channels[index].events.get_mut(event)) else {
             self.unknown_events += usize::from(attempt.ending == Ending::Sent);
@@ -356,7 +348,5 @@ fn may_be_heard(attempt: &Attempt) -> bool {
 
 /// How far readings of a local clock, taken by a program, may be off.
 const READING: Duration = Duration::from_micros(1);
-/// In the first byte of a frame of a message (`cosmic_core::network::fragments`).
-const LAST_OF_A_MESSAGE: u8 = 0x40;
 /// So many events of one channel are looked through at most.
 const LOOK_BACK: usize = 2_048;

@@ -74,8 +74,6 @@ pub struct ChannelReport {
     pub name: &'static str,
     /// `HRT`, `SRT` or `NRT`.
     pub class: &'static str,
-    /// Whether it carries messages of several frames. Of these only the frames are known.
-    pub has_messages: bool,
     /// The publisher's name.
     pub publisher: &'static str,
     /// Events that the publisher's middleware took.
@@ -260,7 +258,6 @@ fn channel(
     ChannelReport {
         name: channel.name,
         class: channel.class.name(),
-        has_messages: channel.has_messages,
         publisher: journal.cluster.name_of(channel.publisher),
         published: totals.published,
         refused: totals.refused,

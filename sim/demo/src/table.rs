@@ -257,7 +257,7 @@ fn channel_row<'r>(
         of_channel(channel.class.to_owned()),
         of_channel(channel.published.to_string()),
         subscriber.node.to_owned(),
-        if channel.has_messages { "-".to_owned() } else { subscriber.delivered.to_string() },
+        subscriber.delivered.to_string(),
         of_channel(missed(channel)),
         least,
         mean,

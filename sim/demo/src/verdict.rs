@@ -114,9 +114,6 @@ struct Books<'j> {
 
 impl Books<'_> {
     fn totals(&self, account: &Account, violations: &mut Vec<Violation>) -> Totals {
-        if account.channel.has_messages {
-            return Totals { published: account.messages, sent: account.messages, ..Totals::default() };
-        }
         let lives = || account.events.iter();
         let published = lives().filter(|life| life.taken).count();
         let mut totals = Totals {
