@@ -1,5 +1,6 @@
 //! The planner as a build script calls it: what the cluster's description says is what is built.
 
+use crate::analysis::advice::advice;
 use crate::analysis::segment::assess;
 use crate::cluster::Cluster;
 use crate::document::file::read_text;
@@ -94,7 +95,7 @@ fn planned(file: &Path, cluster: &Cluster, derives: &[String]) -> Result<String,
             NoPlan::Impossible(conflict) => relaxations(cluster, conflict, &effort),
             NoPlan::GaveUp { .. } => relaxations_of_the_largest(cluster, &effort),
         };
-        CompileError::NoPlan(file.into(), text::of_failure(cluster, &failure, &ways_out))
+        CompileError::NoPlan(file.into(), text::of_failure(cluster, &failure) + &text::ways_out(&ways_out))
     })?;
     if let Err(faults) = crate::verify::verify(cluster, &plan) {
         let faults = faults.join("; ");
@@ -103,7 +104,11 @@ fn planned(file: &Path, cluster: &Cluster, derives: &[String]) -> Result<String,
     }
     let assessment = assess(cluster, &plan);
     if !assessment.holds() {
-        return Err(CompileError::Unproven(file.into(), text::summary(cluster, &plan, &assessment)));
+        let helps = text::advice(&advice(cluster, &assessment, &effort));
+        return Err(CompileError::Unproven(
+            file.into(),
+            text::summary(cluster, &plan, &assessment) + "\n" + &helps,
+        ));
     }
     let name = file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     rust::render(cluster, &plan, &name, derives).map_err(CompileError::NotRendered)
@@ -144,7 +149,7 @@ impl fmt::Display for CompileError {
             }
             Self::NoPlan(file, what) => write!(f, "{}: {what}", file.display()),
             Self::Unproven(file, what) => {
-                write!(f, "{}: {what}; `cosmic-plan explain` shows what makes up a bound", file.display())
+                write!(f, "{}: {what}\n`cosmic-plan explain` shows what makes up a bound", file.display())
             }
             Self::NotRendered(error) => error.fmt(f),
             Self::Unwritable(file, error) => write!(f, "{} cannot be written: {error}", file.display()),

@@ -4,7 +4,7 @@
 //! bit, occurrences are written out one by one over a whole cycle and looked at in order of time. What it
 //! finds wrong would be a fault of the planner.
 
-use crate::cluster::{Class, Cluster};
+use crate::cluster::{Class, Cluster, Recurrence};
 use crate::plan::{Plan, PlannedSlot};
 
 /// Checks every rule.
@@ -153,7 +153,12 @@ fn wishes_are_kept(cluster: &Cluster, windows: &[Window], cycle: u64, faults: &m
         if wishes.earliest.is_some_and(|earliest| in_period < earliest.as_ticks()) {
             faults.push(format!("{}: ready before its earliest instant", channel.name));
         }
-        if channel.deadline.is_some_and(|deadline| late > deadline.as_ticks()) {
+        let promised = match channel.recurrence {
+            Recurrence::Periodic(period) => channel.deadline.unwrap_or(period).as_ticks(),
+            // From publication, which is another matter than where the slot stands.
+            Recurrence::Sporadic(_) => u64::MAX,
+        };
+        if late > promised {
             faults
                 .push(format!("{}: delivered {late} ns into its period, behind its deadline", channel.name));
         }

@@ -229,7 +229,7 @@ fn diff_and_explain_name_what_matters() {
     let (before, after) = (with(1), with(2));
     let diff = json(&run(&["diff", &before, &after, "--json"]));
     let bound =
-        diff.as_array().expect("a list").iter().find(|c| c["who"] == "x of a" && c["what"] == "bound");
+        diff.as_array().expect("a list").iter().find(|c| c["who"] == "x of a" && c["what"] == "window");
     assert_eq!(
         bound.map(|c| (c["before"].clone(), c["after"].clone())),
         Some(("557 µs".into(), "748 µs".into()))

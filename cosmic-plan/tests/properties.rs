@@ -73,13 +73,13 @@ fn a_burst_is_counted_as_the_frames_that_come_at_once() {
         );
         let cluster =
             Cluster::read(&Source::new("burst.toml", text)).unwrap_or_else(|problems| panic!("{problems}"));
-        let plan = plan(&cluster, &EFFORT).unwrap();
+        let plan = plan(&cluster, &Effort::of(STEPS)).unwrap();
         assess(&cluster, &plan).channels[0].proof.bound.unwrap().as_micros()
     };
     assert_eq!([1, 2, 3].map(bound), [480, 640, 800]);
 }
 
-const EFFORT: Effort<'static> = Effort { limit: std::time::Duration::from_secs(2), watch: None };
+const STEPS: u64 = 2_000_000_000;
 
 /// The cluster without one of its channels.
 fn without(cluster: &Cluster, gone: usize) -> Cluster {
@@ -101,7 +101,7 @@ proptest! {
     #[test]
     fn every_calendar_passes_both_independent_checks(hard in hard()) {
         let cluster = cluster(&hard, &[]);
-        if let Ok(plan) = plan(&cluster, &EFFORT) {
+        if let Ok(plan) = plan(&cluster, &Effort::of(STEPS)) {
             prop_assert_eq!(verify(&cluster, &plan), Ok(()));
             prop_assert!(plan.calendar().is_ok(), "{:?}", plan.calendar());
         }
@@ -112,7 +112,7 @@ proptest! {
         prop_assume!(!hard.is_empty());
         let cluster = cluster(&hard, &[]);
         let at = which.index(hard.len());
-        let Ok(plan) = plan(&cluster, &EFFORT) else { return Ok(()) };
+        let Ok(plan) = plan(&cluster, &Effort::of(STEPS)) else { return Ok(()) };
         // The plan of this cluster is none for a cluster that asks for more.
         let more_faults = cluster.with_omission_degree(at, 200);
         prop_assert!(verify(&more_faults, &plan).is_err());
@@ -136,11 +136,11 @@ proptest! {
         let hard: Vec<_> = hard.into_iter().map(|(t, s, k, wish)| (t, s, k, if wish == 3 { 7 } else { wish })).collect();
         let cluster = cluster(&hard, &soft);
         let holds = |cluster: &Cluster| {
-            plan(cluster, &EFFORT).is_ok_and(|plan| assess(cluster, &plan).holds())
+            plan(cluster, &Effort::of(STEPS)).is_ok_and(|plan| assess(cluster, &plan).holds())
         };
         // Without a hard channel the other slots may stand elsewhere, and so may what soft frames meet: that a
         // calendar exists is asked of hard channels, that every bound holds of soft ones.
-        let plannable = |cluster: &Cluster| !matches!(plan(cluster, &EFFORT), Err(NoPlan::Impossible(_) | NoPlan::GaveUp { .. }));
+        let plannable = |cluster: &Cluster| !matches!(plan(cluster, &Effort::of(STEPS)), Err(NoPlan::Impossible(_) | NoPlan::GaveUp { .. }));
         if plannable(&cluster) && !hard.is_empty() {
             let gone = which.index(hard.len());
             prop_assert!(plannable(&without(&cluster, gone)));
@@ -163,18 +163,18 @@ proptest! {
     #[test]
     fn a_contradiction_is_small_and_real(hard in hard()) {
         let cluster = cluster(&hard, &[]);
-        let Err(NoPlan::Impossible(conflict)) = plan(&cluster, &EFFORT) else { return Ok(()) };
+        let Err(NoPlan::Impossible(conflict)) = plan(&cluster, &Effort::of(STEPS)) else { return Ok(()) };
         prop_assert!(!conflict.constraints.is_empty());
         // Without all channels that are not in it, it is still impossible.
         let mut only = cluster.clone();
         for channel in (0..cluster.channels.len()).filter(|c| !conflict.channels.contains(c)) {
             only = without(&only, channel);
         }
-        prop_assert!(matches!(plan(&only, &EFFORT), Err(NoPlan::Impossible(_))));
+        prop_assert!(matches!(plan(&only, &Effort::of(STEPS)), Err(NoPlan::Impossible(_))));
         // Without any one of its channels, the rest of it can be planned.
         if conflict.minimal && conflict.channels.len() == conflict.constraints.len() {
             for channel in &conflict.channels {
-                prop_assert!(plan(&without(&only, *channel), &EFFORT).is_ok());
+                prop_assert!(plan(&without(&only, *channel), &Effort::of(STEPS)).is_ok());
             }
         }
     }

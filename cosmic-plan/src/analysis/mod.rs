@@ -5,12 +5,14 @@
 //! calendar. [`reserved`] gives them to nodes that admit channels at run time. [`sensitivity`] asks how far things could grow. Arithmetic is in whole nanoseconds
 //! throughout, so that no rounding decides.
 
+pub mod advice;
 pub mod bus;
 pub mod calendar_load;
 pub mod errors;
 pub mod fixed;
 pub mod frame;
 pub mod reserved;
+mod hard;
 pub mod segment;
 pub mod sensitivity;
 #[cfg(feature = "cli")]

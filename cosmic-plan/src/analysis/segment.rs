@@ -2,7 +2,8 @@
 //!
 //! | class | bound | why |
 //! |---|---|---|
-//! | HRT | from the ready instant to delivery, always the same | the calendar |
+//! | HRT, periodic | from the start of each period to delivery | [`hard`](super::hard) |
+//! | HRT, sporadic | from publication to delivery | [`hard`](super::hard) |
 //! | SRT | from publication until sent | [`soft`](super::soft) |
 //! | NRT | from publication until the last frame has been sent | below |
 //! | foreign | from its nominal instant until sent | the sufficient test of [`fixed`](super::fixed) |
@@ -19,7 +20,7 @@ use super::fixed::Level;
 use super::frame::{arbitration_key, longest_frame_bits};
 use super::soft::{Rule, SoftBound, SoftBus, SoftStream};
 use crate::cluster::{Class, Cluster, Foreign};
-use crate::plan::found::{Plan, PlannedSlot};
+use crate::plan::found::Plan;
 use cosmic_core::can::{ERROR_RECOVERY_BITS, LONGEST_FRAME_BITS, Priority};
 use cosmic_core::time::Duration;
 
@@ -37,7 +38,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    fn of(bound: Option<Duration>, deadline: Option<Duration>) -> Self {
+    pub(super) fn of(bound: Option<Duration>, deadline: Option<Duration>) -> Self {
         match (bound, deadline) {
             (_, None) => Self::NoDeadline,
             (None, Some(_)) => Self::Unbounded,
@@ -62,6 +63,28 @@ impl Verdict {
     }
 }
 
+/// From where a bound is counted.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Origin {
+    /// The start of each period of a hard real-time channel.
+    Period,
+    /// Publication.
+    Publication,
+    /// The nominal instant of a foreign frame.
+    Nominal,
+}
+
+impl Origin {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Period => "the start of the period",
+            Self::Publication => "publication",
+            Self::Nominal => "its nominal instant",
+        }
+    }
+}
+
 /// A part of a bound.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Term {
@@ -74,12 +97,16 @@ pub struct Term {
 /// What is proven of a channel and one of its publishers, or of a foreign frame.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Proof {
-    /// The longest latency; see the [module](self) for where it is counted from.
+    /// The longest latency, from [`Proof::origin`] on.
     pub bound: Option<Duration>,
-    /// What it must not exceed.
+    /// What it must not exceed, from the same instant on.
     pub deadline: Option<Duration>,
     /// Whether it does.
     pub verdict: Verdict,
+    /// From where bound and deadline are counted.
+    pub origin: Origin,
+    /// Hard real-time: from the slot's ready instant to delivery.
+    pub from_ready: Option<Duration>,
     /// How the bound comes about, in one sentence.
     pub how: &'static str,
     /// What the bound consists of.
@@ -144,11 +171,7 @@ impl Assessment {
 pub fn assess(cluster: &Cluster, plan: &Plan) -> Assessment {
     let traffic = Traffic::of(cluster, plan);
     let mut channels = traffic.soft_proofs(cluster);
-    for planned in plan.slots() {
-        if !channels.iter().any(|c| (c.channel, c.node) == (planned.channel, planned.node)) {
-            channels.push(hard_proof(cluster, plan, planned));
-        }
-    }
+    channels.extend(super::hard::proofs(cluster, plan));
     channels.extend(traffic.non_real_time_proofs(cluster));
     channels.sort_by_key(|channel| (channel.channel, channel.node));
     Assessment {
@@ -161,33 +184,6 @@ pub fn assess(cluster: &Cluster, plan: &Plan) -> Assessment {
             .collect(),
         utilisation: traffic.utilisation(plan),
     }
-}
-
-fn hard_proof(cluster: &Cluster, plan: &Plan, planned: &PlannedSlot) -> ChannelProof {
-    let segment = plan.segment();
-    let (slot, times) = (&planned.slot, &planned.times);
-    let frame = segment.bit_rate.longest_frame(usize::from(slot.len));
-    let term = |name: &str, span: Duration| Term { name: name.to_owned(), span };
-    let mut terms =
-        vec![term("ΔT_wait: one frame that has just started, and a fault on it", times.latest_start)];
-    terms.push(term("the frame itself", frame));
-    let rest = times.deadline.as_ticks() - times.latest_start.as_ticks() - frame.as_ticks();
-    let again = match planned.pool {
-        Some(_) => "the pool's other frames and its shared fault budget".to_owned(),
-        None => format!("k = {} repetitions, each with error recovery", slot.omission_degree),
-    };
-    terms.push(term(&again, Duration::from_ticks(rest)));
-    terms.push(term("gap: 2ε + release jitter", segment.gap()));
-    let deadline = cluster.channels[planned.channel].deadline;
-    let proof = Proof {
-        bound: Some(times.delivery),
-        deadline: Some(deadline.unwrap_or(slot.period)),
-        // The planner places no slot beyond its deadline.
-        verdict: Verdict::Meets,
-        how: "from the slot's ready instant to delivery; every event takes exactly this, up to 2ε",
-        terms,
-    };
-    ChannelProof { channel: planned.channel, node: planned.node, proof }
 }
 
 /// What is on the bus, as streams.
@@ -325,7 +321,9 @@ impl Traffic {
             };
             let bound = bound.map(|bound| Duration::from_ticks(bound.response));
             let verdict = Verdict::of(bound, deadline);
-            ChannelProof { channel, node, proof: Proof { bound, deadline, verdict, how, terms } }
+            let origin = Origin::Publication;
+            let proof = Proof { bound, deadline, verdict, origin, from_ready: None, how, terms };
+            ChannelProof { channel, node, proof }
         };
         bounds.into_iter().enumerate().map(proof).collect()
     }
@@ -379,7 +377,15 @@ impl Traffic {
             proofs.push(ChannelProof {
                 channel,
                 node,
-                proof: Proof { bound, deadline, verdict, how, terms },
+                proof: Proof {
+                    bound,
+                    deadline,
+                    verdict,
+                    origin: Origin::Publication,
+                    from_ready: None,
+                    how,
+                    terms,
+                },
             });
         }
         proofs
@@ -419,7 +425,8 @@ impl Traffic {
         };
         let terms = bound.map_or_else(Vec::new, |one| self.level_terms(&level, &stream, 0, one));
         let bound = bound.map(Duration::from_ticks);
-        Proof { bound, deadline, verdict: Verdict::of(bound, deadline), how, terms }
+        let verdict = Verdict::of(bound, deadline);
+        Proof { bound, deadline, verdict, origin: Origin::Nominal, from_ready: None, how, terms }
     }
 
     fn utilisation(&self, plan: &Plan) -> Utilisation {

@@ -17,20 +17,21 @@ pub struct Growth {
     pub highest_omission_degree: Option<u8>,
 }
 
-/// How far each channel could grow, one after the other. `watch` is called before each.
-pub fn growth(cluster: &Cluster, watch: &dyn Fn(&str)) -> Vec<Growth> {
+/// How far each channel could grow, one after the other, as far as the steps reach.
+pub fn growth(cluster: &Cluster, effort: &Effort<'_>) -> Vec<Growth> {
     (0..cluster.channels.len())
+        .take_while(|_| effort.left() > 0)
         .map(|channel| {
-            watch("asking how far channels could grow");
+            effort.report("asking how far channels could grow");
             match cluster.channels[channel].class {
                 Class::Hard { .. } => Growth {
                     channel,
-                    shortest_period: shortest_hard_period(cluster, channel),
-                    highest_omission_degree: highest_omission_degree(cluster, channel),
+                    shortest_period: shortest_hard_period(cluster, channel, effort),
+                    highest_omission_degree: highest_omission_degree(cluster, channel, effort),
                 },
                 _ => Growth {
                     channel,
-                    shortest_period: shortest_period(cluster, channel),
+                    shortest_period: shortest_period(cluster, channel, effort),
                     highest_omission_degree: None,
                 },
             }
@@ -40,7 +41,7 @@ pub fn growth(cluster: &Cluster, watch: &dyn Fn(&str)) -> Vec<Growth> {
 
 /// By what factor, in percent, all soft, non real-time and foreign frames could come more often; 100 if not
 /// at all, `None` if something fails as it is.
-pub fn common_growth(cluster: &Cluster) -> Option<u32> {
+pub fn common_growth(cluster: &Cluster, effort: &Effort<'_>) -> Option<u32> {
     let faster = |percent: u32| {
         let mut changed = cluster.clone();
         let scale =
@@ -56,50 +57,52 @@ pub fn common_growth(cluster: &Cluster) -> Option<u32> {
         changed
     };
     if cluster.channels.iter().all(|c| matches!(c.class, Class::Hard { .. })) && cluster.foreign.is_empty() {
-        return holds(cluster).then_some(100);
+        return holds(cluster, effort).then_some(100);
     }
-    largest(100, 10_000, |percent| holds(&faster(percent)))
+    largest(100, 10_000, |percent| holds(&faster(percent), effort))
 }
 
 /// Does everything hold, and has everything a bound? (A channel without a deadline needs none to hold, but
 /// without one its events would pile up.)
-fn holds(cluster: &Cluster) -> bool {
-    plan(cluster, &EFFORT).is_ok_and(|plan| {
+fn holds(cluster: &Cluster, effort: &Effort<'_>) -> bool {
+    effort.spend(STEPS_OF_A_CHANNEL * cluster.channels.len() as u64);
+    effort.within(TRIAL, |part| plan(cluster, part)).is_ok_and(|plan| {
         let assessment = assess(cluster, &plan);
         assessment.holds() && assessment.channels.iter().all(|channel| channel.proof.bound.is_some())
     })
 }
 
-fn shortest_period(cluster: &Cluster, channel: usize) -> Option<Duration> {
+fn shortest_period(cluster: &Cluster, channel: usize, effort: &Effort<'_>) -> Option<Duration> {
     let now = cluster.channels[channel].recurrence.span().as_ticks();
     let with = |period: u64| cluster.with_period(channel, Duration::from_ticks(period));
     // In steps of a thousandth of the period, so that few trials suffice.
     let step = (now / 1000).max(1);
     let fewer = largest(0, u32::try_from(now / step - 1).unwrap_or(0), |steps| {
-        holds(&with(now - u64::from(steps) * step))
+        holds(&with(now - u64::from(steps) * step), effort)
     })?;
     Some(Duration::from_ticks(now - u64::from(fewer) * step))
 }
 
-fn shortest_hard_period(cluster: &Cluster, channel: usize) -> Option<Duration> {
+fn shortest_hard_period(cluster: &Cluster, channel: usize, effort: &Effort<'_>) -> Option<Duration> {
     let now = cluster.channels[channel].recurrence.span().as_ticks();
-    if !holds(cluster) {
+    if !holds(cluster, effort) {
         return None;
     }
     let mut shortest = now;
     for part in (2..=20).filter(|part| now % part == 0) {
-        if holds(&cluster.with_period(channel, Duration::from_ticks(now / part))) {
+        if holds(&cluster.with_period(channel, Duration::from_ticks(now / part)), effort) {
             shortest = now / part;
         }
     }
     Some(Duration::from_ticks(shortest))
 }
 
-fn highest_omission_degree(cluster: &Cluster, channel: usize) -> Option<u8> {
+fn highest_omission_degree(cluster: &Cluster, channel: usize, effort: &Effort<'_>) -> Option<u8> {
     let now = cluster.omission_degree(channel)?;
     let degree = |value: u32| u8::try_from(value).unwrap_or(u8::MAX);
-    let highest =
-        largest(u32::from(now), 255, |value| holds(&cluster.with_omission_degree(channel, degree(value))))?;
+    let highest = largest(u32::from(now), 255, |value| {
+        holds(&cluster.with_omission_degree(channel, degree(value)), effort)
+    })?;
     Some(degree(highest))
 }
 
@@ -121,4 +124,7 @@ fn largest(low: u32, high: u32, passes: impl Fn(u32) -> bool) -> Option<u32> {
 }
 
 /// Trials are many, and a calendar that is hard to find is no comfortable growth.
-const EFFORT: Effort<'static> = Effort { limit: std::time::Duration::from_millis(300), watch: None };
+const TRIAL: u64 = 300_000_000;
+
+/// What the analysis takes for each channel, roughly.
+const STEPS_OF_A_CHANNEL: u64 = 50_000;

@@ -174,13 +174,21 @@ impl Time<'_> {
     fn read(&self, table: &Table<'_>, field: &'static str) -> Option<At<u64>> {
         let node = table.node(field)?;
         let span = match (&node.kind, self.unit.and_then(units::unit_exponent)) {
-            (Kind::Number(text, 10), Some(exponent)) => units::parse_ticks(text, exponent),
+            // Numbers that programs compute have digits beyond any meaning.
+            (Kind::Number(text, 10), Some(exponent)) => units::parse_rounded_ticks(text, exponent),
             (Kind::Text(text), _) => units::parse_span(text).map(|span| span.as_ticks()),
             _ => None,
         };
         if span.is_none() {
             let what = format!("{} is not a span of time", node.describe());
-            let help = "write a number with its unit, such as \"10 ms\", or give time_unit = \"ms\" for all";
+            let help = match (&node.kind, self.unit) {
+                (Kind::Text(text), _) if units::is_too_fine(text) => "round it to whole nanoseconds",
+                (Kind::Number(..), Some(_)) => {
+                    "write a number from 0, such as 10 or 2.5e-3, below eleven days"
+                }
+                _ => "write a number with its unit, such as \"10 ms\", or give time_unit = \"ms\" for all",
+            };
+            table.is_malformed(field);
             table.problem(field, node.place.clone(), what, help);
         }
         span.map(|value| At { value, place: node.place.clone() })
@@ -216,7 +224,7 @@ fn read(table: &Table<'_>, log: &Log) -> MessageSet {
         None => ErrorModel::None,
     };
     let nodes = table.nodes("message").or_else(|| table.nodes("messages"));
-    if nodes.is_none_or(<[Node]>::is_empty) {
+    if nodes.is_none_or(<[Node]>::is_empty) && table.malformed().is_empty() {
         table.problem("message", table.place(), "is missing", "write at least one [[message]]");
     }
     let nodes = nodes.unwrap_or_default();
@@ -259,6 +267,7 @@ fn read_errors(table: &Table<'_>, time: &Time<'_>) -> ErrorModel {
         (None, None, Some(count), Some(window)) => {
             ErrorModel::Window { count: count.value, window: span(window) }
         }
+        _ if !table.malformed().is_empty() => ErrorModel::None,
         _ => {
             let help = "write burst and interval, or count and window, with spans above zero";
             table.problem("burst", table.place(), "is neither of the two models", help);
@@ -299,6 +308,11 @@ fn read_stream(table: &Table<'_>, extended: bool, bit_rate: u32, time: &Time<'_>
             table.problem("length", length.place, "is above 8", "write 0 to 8 bytes");
             1
         }
+        (None, None)
+            if ["length", "transmission_time"].iter().any(|field| table.malformed().contains(field)) =>
+        {
+            1
+        }
         _ => {
             let help = "write length in bytes, or transmission_time; not both";
             table.problem("length", table.place(), "is missing or stands beside transmission_time", help);
@@ -306,7 +320,7 @@ fn read_stream(table: &Table<'_>, extended: bool, bit_rate: u32, time: &Time<'_>
         }
     };
     let period = time.read(table, "period");
-    if period.as_ref().is_none_or(|at| at.value == 0) {
+    if period.as_ref().is_none_or(|at| at.value == 0) && !table.malformed().contains(&"period") {
         table.problem("period", table.place(), "is missing or zero", "write period = \"10 ms\"");
     }
     Stream {

@@ -5,7 +5,9 @@
 //! fields are optional where a mistake can leave them out; what must be there is marked `required`.
 
 use super::contents::{self, ContentTable};
-use super::values::{BindingName, ClassName, Name, PositiveSpan, Rate, Span, Succession, Uid};
+use super::values::{
+    BindingName, ChannelSubject, ClassName, Name, PositiveSpan, Rate, Span, Succession, Uid,
+};
 use crate::document::{At, Log, Node, Place, Source, Table};
 #[cfg(feature = "cli")]
 use schemars::JsonSchema;
@@ -132,7 +134,7 @@ pub struct ChannelTable {
     pub name: Option<At<Name>>,
     /// Its subject, unique in the world.
     #[cfg_attr(feature = "cli", schemars(required))]
-    pub subject: Option<At<Uid>>,
+    pub subject: Option<At<ChannelSubject>>,
     /// Its class.
     #[cfg_attr(feature = "cli", schemars(required))]
     pub class: Option<At<ClassName>>,
@@ -154,7 +156,8 @@ pub struct ChannelTable {
     /// of slots may deviate from the period if no calendar exists otherwise. Zero if not given; the publisher's
     /// node then lets an event be late by a tenth of its period, 1 ms at most, all the same.
     pub jitter: Option<At<Span>>,
-    /// HRT: delivery at the latest, from the start of each period; the end of the period if not given.
+    /// HRT with a period: delivery at the latest, from the start of each period; the end of the period if not given.
+    /// HRT with min_interarrival: delivery at the latest, from publication; optional.
     /// SRT: from publication; must be given. NRT: optional.
     pub deadline: Option<At<PositiveSpan>>,
     /// After this span from its publication an event is worthless and is discarded.

@@ -133,7 +133,7 @@ pub struct Channel {
     /// Soft and non real-time: the jitter that the publisher's node allows. It is [`jitter`](Self::jitter); or, if the
     /// file gives none, a tenth of the recurrence, 1 ms at most, so that a task that is a little late is not refused.
     pub allowed_jitter: Duration,
-    /// Hard real-time: delivery at the latest, from the start of each period. Soft: from publication.
+    /// Periodic hard real-time: delivery at the latest, from the start of each period. Others: from publication.
     pub deadline: Option<Duration>,
     /// After this span an event is worthless and is discarded.
     pub validity: Option<Duration>,
@@ -251,6 +251,16 @@ impl Cluster {
         let period = self.sync_period?;
         let stamp_error = SyncConfig::stamp_error_for(self.segment.bit_rate, self.stamp_latency);
         Some(SyncConfig { period, stamp_error, ..SyncConfig::DEFAULT })
+    }
+
+    /// By when a slot of a hard real-time channel must have delivered, from the start of each period: `None` for
+    /// sporadic ones, whose events keep no period.
+    pub fn delivery_deadline(&self, channel: usize) -> Option<Duration> {
+        let channel = &self.channels[channel];
+        match channel.recurrence {
+            Recurrence::Periodic(period) => Some(channel.deadline.unwrap_or(period)),
+            Recurrence::Sporadic(_) => None,
+        }
     }
 
     /// What stands in the events of a channel; `None` if the file does not say.

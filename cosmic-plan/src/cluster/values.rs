@@ -3,6 +3,7 @@
 use crate::contents::Decimal;
 use crate::document::{FromNode, Kind, Mismatch, Node};
 use crate::units;
+use cosmic_core::Subject;
 use cosmic_core::can::BitRate;
 use cosmic_core::protocol::Rank;
 use cosmic_core::time::Duration;
@@ -55,9 +56,13 @@ impl FromNode for Span {
     fn from_node(node: &Node) -> Result<Self, Mismatch> {
         let help = "write a number and ns, us, ms or s in quotes, such as \"10 ms\"";
         match &node.kind {
-            Kind::Text(text) => units::parse_span(text)
-                .map(Self)
-                .ok_or_else(|| Mismatch::new(format!("{text:?} is not a span of time"), help)),
+            Kind::Text(text) => units::parse_span(text).map(Self).ok_or_else(|| {
+                if units::is_too_fine(text) {
+                    let what = format!("{text:?} is finer than a nanosecond");
+                    return Mismatch::new(what, "round it to whole nanoseconds");
+                }
+                Mismatch::new(format!("{text:?} is not a span of time"), help)
+            }),
             Kind::Number(text, _) => Err(Mismatch::new(
                 format!("{text} has no unit"),
                 format!("write \"{text} ms\" or \"{text} us\""),
@@ -136,6 +141,29 @@ impl FromNode for Uid {
             0 => Err(wrong("UID 0 is not valid".to_owned())),
             uid => Ok(Self(uid)),
         }
+    }
+}
+
+/// The subject of a channel: a 64-bit UID other than zero that the protocol does not keep for itself.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct ChannelSubject(pub u64);
+
+described!(ChannelSubject, "ChannelSubject", {
+    "description": "A 64-bit number other than zero, below 0xFFFFFFFFFFFFFFFF: \"0x1122334455667788\".",
+    "anyOf": [
+        { "type": "string", "pattern": "^(0[xX][0-9a-fA-F_]+|[0-9_]+)$" },
+        { "type": "integer", "minimum": 1 }
+    ]
+});
+
+impl FromNode for ChannelSubject {
+    fn from_node(node: &Node) -> Result<Self, Mismatch> {
+        let subject = Uid::from_node(node)?.0;
+        if Subject::new(subject) == Some(Subject::RESERVED) {
+            let what = format!("{subject:#x} is kept for the protocol");
+            return Err(Mismatch::new(what, "choose another subject"));
+        }
+        Ok(Self(subject))
     }
 }
 

@@ -26,7 +26,7 @@ pub(super) fn build(file: &Path, out: &Path, json: bool) -> Result<ExitCode, Fai
         ("calendar.rs", calendar),
         ("report.json", format!("{machine:#}\n")),
         ("report.txt", text::of_plan(cluster, plan, assessment)),
-        ("timeline.svg", svg::render(cluster, plan)),
+        ("timeline.svg", svg::render(cluster, plan, assessment)),
     ];
     std::fs::create_dir_all(out).map_err(|error| {
         Failure::Line(format!("{} cannot be made: {error}; choose another --out", out.display()))
@@ -51,7 +51,7 @@ pub(super) fn build(file: &Path, out: &Path, json: bool) -> Result<ExitCode, Fai
 
 pub(super) fn render(file: &Path, out: &Path) -> Result<ExitCode, Failure> {
     let planned = planned(file, false)?;
-    write(out, svg::render(&planned.cluster, &planned.plan).as_bytes())?;
+    write(out, svg::render(&planned.cluster, &planned.plan, &planned.assessment).as_bytes())?;
     println!("wrote {}", out.display());
     Ok(ExitCode::SUCCESS)
 }

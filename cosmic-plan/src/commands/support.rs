@@ -1,11 +1,12 @@
 //! What the commands share: reading, progress, failing.
 
+use cosmic_plan::analysis::advice::advice;
 use cosmic_plan::analysis::segment::{Assessment, assess};
 use cosmic_plan::cluster::Cluster;
 use cosmic_plan::document::file::read_text;
 use cosmic_plan::document::{Problems, Source};
 use cosmic_plan::output::{report, text};
-use cosmic_plan::plan::relax::{relaxations, relaxations_of_the_largest};
+use cosmic_plan::plan::relax::{Relaxation, relaxations, relaxations_of_the_largest};
 use cosmic_plan::plan::{Effort, NoPlan, Plan, plan};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::cell::RefCell;
@@ -26,7 +27,7 @@ pub(super) enum Failure {
     Document { problems: Box<Problems>, json: bool },
     /// A file cannot be read or written, or the like: one line with the remedy.
     Line(String),
-    /// There is no calendar: the explanation, for people or for machines.
+    /// There is no calendar: what is to be said of it yet, for people or for machines.
     NoPlan(String),
 }
 
@@ -73,6 +74,21 @@ pub(super) struct Planned {
 }
 
 impl Planned {
+    /// What would help if not all holds.
+    pub(super) fn advice(&self) -> Vec<Relaxation> {
+        if self.assessment.holds() {
+            return Vec::new();
+        }
+        with_progress(|watch| advice(&self.cluster, &self.assessment, &Effort::watched(watch)))
+    }
+
+    /// Prints what would help if not all holds.
+    pub(super) fn print_advice(&self) {
+        if !self.assessment.holds() {
+            print_text(&text::advice(&self.advice()));
+        }
+    }
+
     /// The exit code that says whether all holds.
     pub(super) fn exit_code(&self) -> ExitCode {
         if self.assessment.holds() { ExitCode::SUCCESS } else { ExitCode::from(INFEASIBLE) }
@@ -83,7 +99,7 @@ impl Planned {
 pub(super) fn planned(file: &Path, json: bool) -> Result<Planned, Failure> {
     let cluster = cluster(file, json)?;
     let outcome = with_progress(|watch| {
-        let effort = Effort { watch: Some(watch), ..Effort::default() };
+        let effort = Effort::watched(watch);
         plan(&cluster, &effort).map_err(|failure| no_plan(&cluster, &failure, &effort, json))
     });
     let plan = outcome?;
@@ -100,7 +116,11 @@ pub(super) fn planned(file: &Path, json: bool) -> Result<Planned, Failure> {
     Ok(Planned { cluster, plan, assessment })
 }
 
+/// The verdict first: what helps is sought as long as steps are left.
 fn no_plan(cluster: &Cluster, failure: &NoPlan, effort: &Effort<'_>, json: bool) -> Failure {
+    if !json {
+        print_text(&text::of_failure(cluster, failure));
+    }
     let ways_out = match failure {
         NoPlan::Impossible(conflict) => relaxations(cluster, conflict, effort),
         NoPlan::GaveUp { .. } => relaxations_of_the_largest(cluster, effort),
@@ -108,7 +128,7 @@ fn no_plan(cluster: &Cluster, failure: &NoPlan, effort: &Effort<'_>, json: bool)
     Failure::NoPlan(if json {
         format!("{:#}\n", report::of_failure(cluster, failure, &ways_out))
     } else {
-        text::of_failure(cluster, failure, &ways_out)
+        text::ways_out(&ways_out)
     })
 }
 
@@ -156,5 +176,6 @@ pub(super) fn print_json(value: &serde_json::Value) {
 
 /// Prints text, as [`print_json`] does.
 pub(super) fn print_text(text: &str) {
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    let mut out = std::io::stdout();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }

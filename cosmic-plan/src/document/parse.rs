@@ -48,7 +48,7 @@ pub(super) fn json(text: &str, log: &Log) -> Node {
     let parsed = jsonc_parser::parse_to_ast(text, &jsonc_parser::CollectOptions::default(), &strict);
     let problem = match parsed {
         Ok(result) => match result.value {
-            Some(value) => return json_value(&value),
+            Some(value) => return json_value(&value, log),
             None => ("the document is empty".to_owned(), None),
         },
         Err(error) => (error.kind().to_string(), Some(error.range().start..error.range().end)),
@@ -62,22 +62,34 @@ pub(super) fn json(text: &str, log: &Log) -> Node {
     Node { place: 0..0, kind: Kind::Table(Vec::new()) }
 }
 
-fn json_value(value: &jsonc_parser::ast::Value<'_>) -> Node {
+fn json_value(value: &jsonc_parser::ast::Value<'_>, log: &Log) -> Node {
     use jsonc_parser::ast::Value;
     use jsonc_parser::common::Ranged as _;
+    let mut names = std::collections::HashSet::new();
     let kind = match value {
         Value::StringLit(text) => Kind::Text(text.value.to_string()),
         Value::NumberLit(number) => Kind::Number(number.value.to_owned(), 10),
         Value::BooleanLit(value) => Kind::Boolean(value.value),
         Value::NullKeyword(_) => Kind::Other("null"),
-        Value::Array(array) => Kind::Array(array.elements.iter().map(json_value).collect()),
+        Value::Array(array) => {
+            Kind::Array(array.elements.iter().map(|element| json_value(element, log)).collect())
+        }
         Value::Object(object) => Kind::Table(
             object
                 .properties
                 .iter()
                 .map(|property| {
                     let place = property.name.range().start..property.name.range().end;
-                    (At { value: property.name.as_str().to_owned(), place }, json_value(&property.value))
+                    let name = property.name.as_str();
+                    if !names.insert(name.to_owned()) {
+                        log.add(Problem {
+                            place: Some(place.clone()),
+                            field: name.to_owned(),
+                            what: "stands here a second time".to_owned(),
+                            help: "keep one of the two".to_owned(),
+                        });
+                    }
+                    (At { value: name.to_owned(), place }, json_value(&property.value, log))
                 })
                 .collect(),
         ),

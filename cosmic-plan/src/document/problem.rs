@@ -13,12 +13,17 @@ use std::fmt;
 pub struct Source {
     name: String,
     text: String,
+    /// Where each line begins.
+    lines: Vec<usize>,
 }
 
 impl Source {
     /// A document of this name and text.
     pub fn new(name: impl Into<String>, text: impl Into<String>) -> Self {
-        Self { name: name.into(), text: text.into() }
+        let text = text.into();
+        let breaks = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at + 1);
+        let lines = std::iter::once(0).chain(breaks).collect();
+        Self { name: name.into(), text, lines }
     }
 
     /// The name: the path of the file.
@@ -33,9 +38,18 @@ impl Source {
 
     /// Line and column, both from 1, of a position in the text.
     pub fn line_column(&self, at: usize) -> (usize, usize) {
-        let before = self.text.get(..at).unwrap_or(&self.text);
-        let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
-        (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
+        let line = self.lines.partition_point(|start| *start <= at).max(1);
+        let start = self.lines.get(line - 1).copied().unwrap_or(0);
+        let before = self.text.get(start..at).unwrap_or("");
+        (line, before.chars().count() + 1)
+    }
+
+    /// The bytes of the line in which a position stands.
+    #[cfg(feature = "cli")]
+    fn line_length(&self, at: usize) -> usize {
+        let line = self.lines.partition_point(|start| *start <= at).max(1);
+        let start = self.lines.get(line - 1).copied().unwrap_or(0);
+        self.lines.get(line).copied().unwrap_or(self.text.len()) - start
     }
 }
 
@@ -59,7 +73,14 @@ pub struct Log(RefCell<Vec<Problem>>);
 impl Log {
     /// Notes a problem.
     pub fn add(&self, problem: Problem) {
+        let Problem { place, field, what, help } = problem;
+        let problem = Problem { place, field: cut(field), what: cut(what), help: cut(help) };
         self.0.borrow_mut().push(problem);
+    }
+
+    /// How many problems were noted.
+    pub fn len(&self) -> usize {
+        self.0.borrow().len()
     }
 
     /// Was nothing noted?
@@ -78,6 +99,24 @@ impl Log {
         Some(Problems { source: source.clone(), list })
     }
 }
+
+/// What is quoted of a document has no end of its own.
+fn cut(text: String) -> String {
+    if text.chars().count() <= LONGEST_TEXT {
+        return text;
+    }
+    text.chars().take(LONGEST_TEXT).chain(['…']).collect()
+}
+
+/// No part of a message is longer.
+const LONGEST_TEXT: usize = 300;
+
+/// So many problems are shown to people; the rest is counted.
+const MOST_SHOWN: usize = 50;
+
+/// A line of the source is shown up to this length.
+#[cfg(feature = "cli")]
+const LONGEST_LINE: usize = 400;
 
 /// All that is wrong with a document. Never empty.
 #[derive(Clone, Debug)]
@@ -135,21 +174,38 @@ impl Problems {
         };
         let handler = miette::GraphicalReportHandler::new_themed(theme).with_width(100);
         let mut report = String::new();
-        for problem in &self.list {
-            let shown = Shown {
-                problem,
-                source: NamedSource::new(self.source.name(), self.source.text().to_owned()),
+        for problem in self.list.iter().take(MOST_SHOWN) {
+            let is_long = |place: &Place| self.source.line_length(place.start) > LONGEST_LINE;
+            let source = match &problem.place {
+                Some(place) if !is_long(place) => {
+                    Some(NamedSource::new(self.source.name(), self.source.text().to_owned()))
+                }
+                _ => None,
             };
+            let at = problem.place.as_ref().filter(|_| source.is_none());
+            let at = at.map(|place| self.source.line_column(place.start));
+            let shown = Shown { problem, source, at };
             // Writing into a string does not fail; a report cut short would still name the field.
             let _ = handler.render_report(&mut report, &shown);
         }
+        report.push_str(&self.more());
         report
+    }
+}
+
+impl Problems {
+    /// What is not shown.
+    fn more(&self) -> String {
+        match self.list.len().saturating_sub(MOST_SHOWN) {
+            0 => String::new(),
+            more => format!("... and {more} more like these\n"),
+        }
     }
 }
 
 impl fmt::Display for Problems {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for problem in &self.list {
+        for problem in self.list.iter().take(MOST_SHOWN) {
             write!(f, "{}", self.source.name())?;
             if let Some(place) = &problem.place {
                 let (line, column) = self.source.line_column(place.start);
@@ -157,7 +213,7 @@ impl fmt::Display for Problems {
             }
             writeln!(f, ": {}: {}; {}", problem.field, problem.what, problem.help)?;
         }
-        Ok(())
+        f.write_str(&self.more())
     }
 }
 
@@ -166,7 +222,10 @@ impl std::error::Error for Problems {}
 #[cfg(feature = "cli")]
 struct Shown<'a> {
     problem: &'a Problem,
-    source: NamedSource<String>,
+    /// None if the line is too long to be shown.
+    source: Option<NamedSource<String>>,
+    /// Line and column, where the line is not shown.
+    at: Option<(usize, usize)>,
 }
 
 #[cfg(feature = "cli")]
@@ -179,7 +238,8 @@ impl fmt::Debug for Shown<'_> {
 #[cfg(feature = "cli")]
 impl fmt::Display for Shown<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {}", self.problem.field, self.problem.what)
+        write!(f, "{}: {}", self.problem.field, self.problem.what)?;
+        self.at.map_or(Ok(()), |(line, column)| write!(f, " (line {line}, column {column})"))
     }
 }
 
@@ -193,11 +253,11 @@ impl Diagnostic for Shown<'_> {
     }
 
     fn source_code(&self) -> Option<&dyn SourceCode> {
-        self.problem.place.as_ref().map(|_| &self.source as &dyn SourceCode)
+        self.source.as_ref().map(|source| source as &dyn SourceCode)
     }
 
     fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
-        let place = self.problem.place.clone()?;
+        let place = self.problem.place.clone().filter(|_| self.source.is_some())?;
         Some(Box::new(std::iter::once(LabeledSpan::at(place, "here"))))
     }
 }

@@ -168,6 +168,11 @@ impl<'a> Table<'a> {
         self.malformed.borrow().clone()
     }
 
+    /// Notes that a field is not what it should be.
+    pub fn is_malformed(&self, field: &'static str) {
+        self.malformed.borrow_mut().push(field);
+    }
+
     /// The field, if it stands there; a mismatch is noted.
     pub fn optional<T: FromNode>(&self, field: &'static str) -> Option<At<T>> {
         let node = self.node(field)?;

@@ -38,6 +38,9 @@ fn write_proof(out: &mut String, cluster: &Cluster, proven: &ChannelProof) -> st
     let node = &cluster.nodes[proven.node].name;
     writeln!(out, "\n  published by {node}: {bound}, deadline {deadline}: {}", proof.verdict.word())?;
     writeln!(out, "  {}", proof.how)?;
+    if let Some(window) = proof.from_ready {
+        writeln!(out, "  from the slot's ready instant to delivery: {}", show(window))?;
+    }
     for term in &proof.terms {
         writeln!(out, "    {:>10} µs  {}", microseconds(term.span), term.name)?;
     }
@@ -196,6 +199,9 @@ fn facts((cluster, plan, assessment): (&Cluster, &Plan, &Assessment)) -> Vec<Fac
         fact(&who, "class", channel.class.abbreviation().to_owned());
         fact(&who, "period", show(channel.recurrence.span()));
         fact(&who, "length", format!("{} bytes", channel.length));
+        if let Some(window) = proven.proof.from_ready {
+            fact(&who, "window", show(window));
+        }
         fact(&who, "bound", proven.proof.bound.map_or("none".to_owned(), show));
         fact(&who, "deadline", proven.proof.deadline.map_or("none".to_owned(), show));
         fact(&who, "verdict", proven.proof.verdict.word().to_owned());

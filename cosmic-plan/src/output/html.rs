@@ -43,7 +43,7 @@ fn write_page(
         escaped(source_name)
     )?;
     writeln!(out, "<h2>Calendar</h2>\n<div class=\"picture\">")?;
-    let picture = svg::render(cluster, plan);
+    let picture = svg::render(cluster, plan, assessment);
     writeln!(out, "{}</div>", picture.split_once("?>").map_or(&*picture, |(_, picture)| picture))?;
     write_nodes(out, cluster)?;
     write_channels(out, cluster, assessment)?;

@@ -26,6 +26,7 @@ pub fn of_plan(cluster: &Cluster, plan: &Plan, assessment: &Assessment) -> Value
             "cycle_us": as_microseconds(plan.cycle()),
             "digest": plan.calendar().map(|calendar| format!("{:08x}", calendar.digest())).ok(),
             "method": format!("{:?}", plan.method()).to_lowercase(),
+            "narrowest_gap_us": as_microseconds(plan.narrowest_gap()),
             "longest_reserved_stretch_us": as_microseconds(plan.longest_stretch()),
             "slots": plan.slots().iter().map(|slot| of_slot(cluster, slot)).collect::<Vec<_>>(),
             "pools": (0..cluster.pools.len()).map(|pool| of_pool(cluster, plan, pool)).collect::<Vec<_>>(),
@@ -94,6 +95,8 @@ fn of_proof(proof: &Proof) -> Value {
     json!({
         "bound_us": proof.bound.map(as_microseconds),
         "deadline_us": proof.deadline.map(as_microseconds),
+        "counted_from": proof.origin.words(),
+        "from_ready_us": proof.from_ready.map(as_microseconds),
         "verdict": proof.verdict.word(),
         "how": proof.how,
         "terms": proof.terms.iter().map(|term| json!({
@@ -119,6 +122,11 @@ pub fn of_failure(cluster: &Cluster, failure: &NoPlan, relaxations: &[Relaxation
             "verdict": "not found", "slots": slots, "reserved": reserved, "relaxations": ways_out,
         }),
     }
+}
+
+/// What would help.
+pub fn of_advice(advice: &[Relaxation]) -> Value {
+    json!(advice.iter().map(|r| json!({ "change": r.change, "cost": r.cost })).collect::<Vec<_>>())
 }
 
 fn names<'a>(cluster: &'a Cluster, conflict: &Conflict) -> Vec<&'a str> {

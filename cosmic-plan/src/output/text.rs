@@ -1,6 +1,6 @@
 //! The report for people, in at most 80 columns.
 
-use crate::analysis::segment::Assessment;
+use crate::analysis::segment::{Assessment, Origin};
 use crate::analysis::sensitivity::Growth;
 use crate::cluster::{Class, Cluster};
 use crate::plan::relax::Relaxation;
@@ -123,6 +123,28 @@ fn write_proofs(out: &mut String, cluster: &Cluster, assessment: &Assessment) ->
             proof.verdict.word()
         )?;
     }
+    write_foreign_proofs(out, cluster, assessment)?;
+    let counted: Vec<&str> = ORIGINS
+        .iter()
+        .filter(|(origin, _)| {
+            assessment.channels.iter().any(|c| c.proof.from_ready.is_some() && c.proof.origin == *origin)
+        })
+        .map(|(_, words)| *words)
+        .collect();
+    if !counted.is_empty() {
+        writeln!(out, "  HRT: {}; SRT, NRT: from publication", counted.join(", "))?;
+    }
+    writeln!(out)
+}
+
+/// From where bounds and deadlines of hard real-time channels are counted.
+const ORIGINS: [(Origin, &str); 2] = [
+    (Origin::Period, "periodic ones from the start of the period"),
+    (Origin::Publication, "sporadic ones from publication"),
+];
+
+fn write_foreign_proofs(out: &mut String, cluster: &Cluster, assessment: &Assessment) -> std::fmt::Result {
+    let or_dash = |span: Option<cosmic_core::time::Duration>| span.map_or("-".to_owned(), microseconds);
     for (frame, proof) in cluster.foreign.iter().zip(&assessment.foreign) {
         writeln!(
             out,
@@ -136,7 +158,7 @@ fn write_proofs(out: &mut String, cluster: &Cluster, assessment: &Assessment) ->
             proof.verdict.word()
         )?;
     }
-    writeln!(out)
+    Ok(())
 }
 
 fn write_utilisation(out: &mut String, plan: &Plan, assessment: &Assessment) -> std::fmt::Result {
@@ -156,7 +178,8 @@ fn write_utilisation(out: &mut String, plan: &Plan, assessment: &Assessment) -> 
     bar("foreign", shares.foreign)?;
     bar("free without faults", 1.0 - shares.total())?;
     bar("reserved by windows", shares.reserved)?;
-    writeln!(out, "  at most {} reserved without a gap", show(plan.longest_stretch()))
+    let (stretch, gap) = (plan.longest_stretch(), plan.narrowest_gap());
+    writeln!(out, "  at most {} reserved without a gap; gaps of at least {}", show(stretch), show(gap))
 }
 
 /// How far channels could grow.
@@ -181,8 +204,9 @@ pub fn of_growth(cluster: &Cluster, growth: &[Growth], common: Option<u32>) -> S
 }
 
 /// Why there is no plan.
-pub fn of_failure(cluster: &Cluster, failure: &NoPlan, relaxations: &[Relaxation]) -> String {
+pub fn of_failure(cluster: &Cluster, failure: &NoPlan) -> String {
     let mut out = String::new();
+    // Writing into a string does not fail.
     let _ = match failure {
         NoPlan::Impossible(conflict) => {
             let _ = writeln!(out, "{}: no calendar exists: {}.\n", cluster.name, conflict.reason);
@@ -192,31 +216,46 @@ pub fn of_failure(cluster: &Cluster, failure: &NoPlan, relaxations: &[Relaxation
                 "These constraints clash (perhaps not all are needed for it):"
             };
             let _ = writeln!(out, "{all}");
-            for constraint in &conflict.constraints {
+            for constraint in conflict.constraints.iter().take(MOST_CONSTRAINTS) {
                 let _ = writeln!(out, "  - {constraint}");
             }
-            ways_out(&mut out, relaxations)
+            match conflict.constraints.len().saturating_sub(MOST_CONSTRAINTS) {
+                0 => Ok(()),
+                more => writeln!(out, "  - and {more} more"),
+            }
         }
         NoPlan::GaveUp { slots, reserved } => {
             let percent = reserved * 100.0;
-            let _ = writeln!(
+            writeln!(
                 out,
                 "{}: no calendar was found for {slots} slots that reserve {percent:.1} % of the time,\n\
                  nor a proof that none exists.",
                 cluster.name
-            );
-            ways_out(&mut out, relaxations)
+            )
         }
     };
     out
 }
 
-fn ways_out(out: &mut String, relaxations: &[Relaxation]) -> std::fmt::Result {
+/// So many constraints of a conflict are listed.
+const MOST_CONSTRAINTS: usize = 20;
+
+/// What helps, if anything was found.
+pub fn ways_out(relaxations: &[Relaxation]) -> String {
     if relaxations.is_empty() {
-        return writeln!(out, "\nNo few changes of omissions, periods or bit rate were found to help.");
+        return "\nNo few changes of omissions, periods or bit rate were found to help.\n".to_owned();
     }
-    writeln!(out, "\nAny one of these changes helps, the cheapest first:")?;
-    relaxations.iter().try_for_each(|relaxation| writeln!(out, "  - {}", relaxation.change))
+    let changes: String =
+        relaxations.iter().map(|relaxation| format!("  - {}\n", relaxation.change)).collect();
+    format!("\nAny one of these changes helps, the cheapest first:\n{changes}")
+}
+
+/// What would help channels whose deadline is not proven.
+pub fn advice(found: &[Relaxation]) -> String {
+    if found.is_empty() {
+        return "\nNo single change of a deadline, a period or the bit rate was found to help.\n".to_owned();
+    }
+    ways_out(found)
 }
 
 fn cut(text: &str, width: usize) -> String {

@@ -14,8 +14,8 @@ impl Circle {
         Self { period, taken: Vec::new() }
     }
 
-    /// Takes the arcs in which a window that recurs with `other_period` meets this circle.
-    pub(super) fn take(&mut self, position: i64, window: i64, other_period: i64) {
+    /// Takes the arcs in which a window that recurs with `other_period` meets this circle. Says how many steps it took.
+    pub(super) fn take(&mut self, position: i64, window: i64, other_period: i64) -> u64 {
         let grid = gcd(self.period, other_period);
         let start = position.rem_euclid(grid);
         for turn in 0..self.period / grid {
@@ -27,6 +27,7 @@ impl Circle {
                 self.insert(0, to - self.period);
             }
         }
+        (self.period / grid).unsigned_abs() * (20 + self.taken.len() as u64 / 4)
     }
 
     fn insert(&mut self, from: i64, to: i64) {

@@ -6,7 +6,7 @@ use super::{Effort, exact, greedy};
 use crate::cluster::Cluster;
 use crate::units::show;
 use cosmic_core::time::Duration;
-use std::time::Instant;
+use std::collections::BTreeMap;
 
 /// Constraints that no calendar keeps together, and how to get out of it.
 #[derive(Clone, PartialEq, Debug)]
@@ -30,7 +30,8 @@ enum Constraint {
     Link(usize),
 }
 
-/// A contradiction that needs no search: its reason and the items in it.
+/// A contradiction that needs no search: its reason and the items in it. O(n log n) in the items, and a look at every
+/// pair of different periods.
 pub(super) fn obvious(request: &Request) -> Option<(String, Vec<usize>)> {
     let span = |ticks: i64| show(Duration::from_ticks(ticks.unsigned_abs()));
     for (at, item) in request.items.iter().enumerate() {
@@ -46,24 +47,49 @@ pub(super) fn obvious(request: &Request) -> Option<(String, Vec<usize>)> {
             return Some(("the wishes for the position of one slot leave no position".to_owned(), vec![at]));
         }
     }
-    for (at, a) in request.items.iter().enumerate() {
-        for (other, b) in request.items[..at].iter().enumerate() {
-            let grid = gcd(a.period, b.period);
-            if a.window + b.window > grid {
-                let reason = format!(
-                    "windows of {} and {} do not fit side by side into {}, within which they meet \
-                     (periods {} and {})",
-                    span(a.window),
-                    span(b.window),
-                    span(grid),
-                    span(a.period),
-                    span(b.period)
-                );
-                return Some((reason, vec![other, at]));
+    // Before pairs: a sum is quick, and says more of a bus that is full many times over.
+    if let Some(items) = overload(request) {
+        return Some(("the windows need more than all of the time".to_owned(), items));
+    }
+    let (first, second) = too_long_together(request)?;
+    let (a, b) = (&request.items[first], &request.items[second]);
+    let reason = format!(
+        "windows of {} and {} do not fit side by side into {}, within which they meet (periods {} and {})",
+        span(a.window),
+        span(b.window),
+        span(gcd(a.period, b.period)),
+        span(a.period),
+        span(b.period)
+    );
+    Some((reason, vec![first.min(second), first.max(second)]))
+}
+
+/// Two items whose windows are longer than the time within which they meet. Of the items with one period only the
+/// two longest can be among such.
+fn too_long_together(request: &Request) -> Option<(usize, usize)> {
+    let mut by_period: BTreeMap<i64, Vec<usize>> = BTreeMap::new();
+    for at in 0..request.items.len() {
+        by_period.entry(request.items[at].period).or_default().push(at);
+    }
+    let mut longest: Vec<usize> = Vec::new();
+    for items in by_period.values_mut() {
+        items.sort_by_key(|at| std::cmp::Reverse(request.items[*at].window));
+        if let [first, second, ..] = items[..]
+            && request.items[first].window + request.items[second].window > request.items[first].period
+        {
+            return Some((first, second));
+        }
+        longest.extend(items.first());
+    }
+    for (at, &first) in longest.iter().enumerate() {
+        for &second in &longest[..at] {
+            let (a, b) = (&request.items[first], &request.items[second]);
+            if a.window + b.window > gcd(a.period, b.period) {
+                return Some((first, second));
             }
         }
     }
-    overload(request).map(|items| ("the windows need more than all of the time".to_owned(), items))
+    None
 }
 
 /// Items whose windows need more than all of the time: as few as possible, the largest first.
@@ -86,7 +112,6 @@ fn overload(request: &Request) -> Option<Vec<usize>> {
 
 /// A small set of constraints that contradict each other, of a request that is known to be impossible.
 pub(super) fn find(cluster: &Cluster, layout: &Layout, effort: &Effort<'_>) -> Conflict {
-    let started = Instant::now();
     if let Some((reason, items)) = obvious(&layout.request) {
         let mut kept: Vec<Constraint> = items.iter().map(|at| Constraint::Window(*at)).collect();
         let bounded = reason.starts_with("the wishes");
@@ -97,9 +122,7 @@ pub(super) fn find(cluster: &Cluster, layout: &Layout, effort: &Effort<'_>) -> C
     }
     let request = &layout.request;
     let mut kept: Vec<Constraint> = (0..request.links.len()).map(Constraint::Link).collect();
-    kept.extend(
-        (0..request.items.len()).filter(|at| is_bounded(&request.items[*at])).map(Constraint::Bounds),
-    );
+    kept.extend((0..request.items.len()).filter(|at| is_bounded(layout, *at)).map(Constraint::Bounds));
     let mut windows: Vec<usize> = (0..request.items.len()).collect();
     // Slots that take little are dropped first, so that a few large ones remain.
     windows.sort_by_key(|at| request.items[*at].window * 1000 / request.items[*at].period);
@@ -108,14 +131,17 @@ pub(super) fn find(cluster: &Cluster, layout: &Layout, effort: &Effort<'_>) -> C
     let mut minimal = request.items.iter().all(|item| item.spacing.is_none());
     let mut at = 0;
     while at < kept.len() {
+        if !effort.spend(100 * kept.len() as u64) {
+            minimal = false;
+            break;
+        }
         let mut without = kept.clone();
         let dropped = without.remove(at);
         if let Constraint::Window(item) = dropped {
             // A slot goes with the wishes for it.
             without.retain(|c| !concerns(request, *c, item));
         }
-        let budget = effort.limit / 2;
-        match is_impossible(&reduced(request, &without), started, budget) {
+        match is_impossible(&reduced(layout, &without), effort) {
             Some(true) => {
                 // What was found to be needed before stays so: fewer constraints clash less.
                 at = kept[..at].iter().filter(|constraint| without.contains(constraint)).count();
@@ -127,14 +153,15 @@ pub(super) fn find(cluster: &Cluster, layout: &Layout, effort: &Effort<'_>) -> C
                 at += 1;
             }
         }
-        super::report(effort, "looking for the smallest contradiction");
+        effort.report("there is no calendar; looking for the smallest contradiction");
     }
     let reason = "no order of these slots keeps their windows apart".to_owned();
     describe(cluster, layout, &kept, reason, minimal)
 }
 
-fn is_bounded(item: &Item) -> bool {
-    item.earliest > 0 || item.latest < item.period - 1
+fn is_bounded(layout: &Layout, at: usize) -> bool {
+    let item = &layout.request.items[at];
+    item.earliest > 0 || item.latest < layout.unwished[at]
 }
 
 fn concerns(request: &Request, constraint: Constraint, item: usize) -> bool {
@@ -145,11 +172,12 @@ fn concerns(request: &Request, constraint: Constraint, item: usize) -> bool {
 }
 
 /// The request with only these constraints.
-fn reduced(request: &Request, kept: &[Constraint]) -> Request {
+fn reduced(layout: &Layout, kept: &[Constraint]) -> Request {
+    let request = &layout.request;
     let mut reduced = request.clone();
     for (at, item) in reduced.items.iter_mut().enumerate() {
         if !kept.contains(&Constraint::Bounds(at)) {
-            (item.earliest, item.latest) = (0, item.period - 1);
+            (item.earliest, item.latest) = (0, layout.unwished[at]);
         }
     }
     let links = reduced.links.iter().enumerate();
@@ -160,17 +188,25 @@ fn reduced(request: &Request, kept: &[Constraint]) -> Request {
     reduced.restricted(&items)
 }
 
-fn is_impossible(request: &Request, started: Instant, budget: std::time::Duration) -> Option<bool> {
+fn is_impossible(request: &Request, effort: &Effort<'_>) -> Option<bool> {
     if obvious(request).is_some() {
         return Some(true);
     }
-    if greedy::place(request, &mut || false).is_some() {
+    let mut steps = 0;
+    let first_try = greedy::place(request, &mut |taken| {
+        steps += taken;
+        false
+    });
+    if first_try.is_some() {
         return Some(false);
     }
-    if started.elapsed() > budget {
+    if !effort.spend(steps) {
         return None;
     }
-    match exact::solve(request, &mut || started.elapsed() < budget) {
+    // Nothing that takes more than its share.
+    let answer =
+        effort.within(effort.left() / 4, |part| exact::solve(request, &mut |steps| part.spend(steps)));
+    match answer {
         exact::Answer::Impossible => Some(true),
         exact::Answer::Placed(_) => Some(false),
         exact::Answer::Unknown => None,

@@ -92,6 +92,23 @@ impl Plan {
         share
     }
 
+    /// The smallest gap between two windows that follow each other; the whole cycle if there is none.
+    pub fn narrowest_gap(&self) -> Duration {
+        let mut windows: Vec<(u64, u64)> = Vec::new();
+        for (ready, planned) in self.occurrences() {
+            let window = (ready.as_ticks(), ready.as_ticks() + planned.times.delivery.as_ticks());
+            // Slots of a pool share their window.
+            if windows.last() != Some(&window) {
+                windows.push(window);
+            }
+        }
+        let cycle = self.cycle.as_ticks();
+        let next =
+            windows.iter().skip(1).map(|window| window.0).chain(windows.first().map(|first| first.0 + cycle));
+        let gaps = windows.iter().zip(next).map(|(window, next)| next.saturating_sub(window.1));
+        Duration::from_ticks(gaps.min().unwrap_or(cycle))
+    }
+
     /// How long windows follow each other without a gap, at most.
     pub fn longest_stretch(&self) -> Duration {
         let windows: Vec<(i64, i64)> = self

@@ -16,22 +16,23 @@ enum Rule {
     Last,
 }
 
-/// Positions for all items, or `None` if every try that `proceed` allowed failed. Items with a spacing
-/// are not for this.
-pub(super) fn place(request: &Request, proceed: &mut dyn FnMut() -> bool) -> Option<Vec<i64>> {
+/// Positions for all items, or `None` if every try that `proceed` allowed failed; it is told how many steps a try has
+/// taken. Items with a spacing are not for this.
+pub(super) fn place(request: &Request, proceed: &mut dyn FnMut(u64) -> bool) -> Option<Vec<i64>> {
     if request.items.iter().any(|item| item.spacing.is_some()) {
         return None;
     }
     let mut urgency: Vec<u32> = vec![0; request.items.len()];
     let tries = 40 + 4 * request.items.len().min(200);
     for attempt in 0..tries {
-        if attempt > 0 && !proceed() {
-            return None;
-        }
+        let mut steps = 0;
         let rule = [Rule::First, Rule::Best, Rule::Last][attempt % 3];
-        match place_in_order(request, &order(request, &urgency), rule) {
+        match place_in_order(request, &order(request, &urgency), rule, &mut steps) {
             Ok(positions) => return Some(positions),
             Err(failed) => urgency[failed] += 1 + attempt as u32,
+        }
+        if !proceed(steps) {
+            return None;
         }
     }
     None
@@ -44,7 +45,7 @@ pub(super) fn variants(request: &Request) -> Vec<Vec<i64>> {
     }
     let order = order(request, &vec![0; request.items.len()]);
     let rules = [Rule::First, Rule::Best, Rule::Last];
-    rules.into_iter().filter_map(|rule| place_in_order(request, &order, rule).ok()).collect()
+    rules.into_iter().filter_map(|rule| place_in_order(request, &order, rule, &mut 0).ok()).collect()
 }
 
 /// Most urgent first; then little freedom, short periods, long windows. What follows something else comes
@@ -70,7 +71,13 @@ fn order(request: &Request, urgency: &[u32]) -> Vec<usize> {
     order
 }
 
-fn place_in_order(request: &Request, order: &[usize], rule: Rule) -> Result<Vec<i64>, usize> {
+/// The positions, or the item for which there was no place.
+fn place_in_order(
+    request: &Request,
+    order: &[usize],
+    rule: Rule,
+    steps: &mut u64,
+) -> Result<Vec<i64>, usize> {
     let mut circles: BTreeMap<i64, Circle> =
         request.items.iter().map(|item| (item.period, Circle::new(item.period))).collect();
     let mut positions: Vec<Option<i64>> = vec![None; request.items.len()];
@@ -81,8 +88,9 @@ fn place_in_order(request: &Request, order: &[usize], rule: Rule) -> Result<Vec<
         let position = choose(&places, rule).ok_or(at)?;
         positions[at] = Some(position);
         for circle in circles.values_mut() {
-            circle.take(position, item.window, item.period);
+            *steps += circle.take(position, item.window, item.period);
         }
+        *steps += 20 * (1 + request.links.len()) as u64 + 2 * places.len() as u64;
     }
     Ok(positions.into_iter().flatten().collect())
 }
@@ -148,7 +156,7 @@ mod tests {
             items: vec![item(20, 2), item(10, 2), item(40, 3), item(10, 1)],
             links: vec![Link { first: 0, then: 2, within: 4 }],
         };
-        let positions = place(&request, &mut || true).expect("there is room");
+        let positions = place(&request, &mut |_| true).expect("there is room");
         assert!(request.accepts(&positions), "{positions:?}");
     }
 

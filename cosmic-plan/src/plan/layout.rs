@@ -20,6 +20,8 @@ pub(super) struct Owner {
 pub(super) struct Layout {
     pub(super) request: Request,
     pub(super) owners: Vec<Owner>,
+    /// The last position of each item if its user wishes nothing.
+    pub(super) unwished: Vec<i64>,
     pub(super) cycle: i64,
 }
 
@@ -45,16 +47,19 @@ impl Layout {
         let items: Vec<Item> = owners.iter().map(|owner| item(cluster, owner)).collect();
         let cycle = items.iter().fold(1, |cycle, item| item.period / gcd(cycle, item.period) * cycle);
         let links = links(cluster, &owners);
-        Self { request: Request { items, links }, owners, cycle }
+        let unwished =
+            owners.iter().zip(&items).map(|(owner, item)| unwished(cluster, owner, item)).collect();
+        Self { request: Request { items, links }, owners, unwished, cycle }
     }
 
     /// Every occurrence of the channels that allow jitter by itself, within that part of it; `None` if no
     /// channel does.
     pub(super) fn by_occurrence(&self, cluster: &Cluster, part: i64) -> Option<Self> {
-        let mut split = Self { request: Request::default(), owners: Vec::new(), cycle: self.cycle };
+        let mut split =
+            Self { request: Request::default(), owners: Vec::new(), unwished: Vec::new(), cycle: self.cycle };
         let mut first_of = Vec::new();
         let mut any = false;
-        for (item, owner) in self.request.items.iter().zip(&self.owners) {
+        for ((item, owner), unwished) in self.request.items.iter().zip(&self.owners).zip(&self.unwished) {
             let jitter =
                 owner.slots.iter().map(|(channel, _)| ticks(cluster.channels[*channel].jitter)).min();
             let allowed = jitter.unwrap_or(0);
@@ -77,6 +82,7 @@ impl Layout {
                     spacing,
                 });
                 split.owners.push(owner.clone());
+                split.unwished.push(unwished + offset);
             }
         }
         let moved = |link: &Link| Link { first: first_of[link.first], then: first_of[link.then], ..*link };
@@ -166,11 +172,18 @@ fn item(cluster: &Cluster, owner: &Owner) -> Item {
         if let Some(earliest) = wishes.earliest {
             item.earliest = item.earliest.max(ticks(earliest));
         }
-        if let Some(deadline) = cluster.channels[*channel].deadline {
+        // Not later than the end of the period, so that an event is delivered in the period that it is of.
+        if let Some(deadline) = cluster.delivery_deadline(*channel) {
             item.latest = item.latest.min(ticks(deadline) - window);
         }
     }
     item
+}
+
+/// The last position if nothing is wished: so that a periodic event is delivered in its own period.
+fn unwished(cluster: &Cluster, owner: &Owner, item: &Item) -> i64 {
+    let periodic = |(channel, _): &(usize, usize)| cluster.delivery_deadline(*channel).is_some();
+    if owner.slots.iter().any(periodic) { item.period - item.window } else { item.period - 1 }
 }
 
 fn links(cluster: &Cluster, owners: &[Owner]) -> Vec<Link> {

@@ -10,6 +10,7 @@
 
 mod circle;
 pub mod conflict;
+mod effort;
 mod exact;
 pub mod found;
 mod greedy;
@@ -21,38 +22,16 @@ mod spread;
 use crate::cluster::{Class, Cluster};
 use conflict::Conflict;
 use cosmic_core::time::Duration;
+pub use effort::Effort;
 pub use found::{Method, Plan, PlannedSlot};
 use layout::Layout;
-use std::time::Instant;
-
-/// How long to try.
-#[derive(Clone, Copy)]
-pub struct Effort<'a> {
-    /// After this time a complete search that has not ended gives up. Quick placement takes a third of it at
-    /// most.
-    pub limit: std::time::Duration,
-    /// Called now and then with what is being done, for a progress bar.
-    pub watch: Option<&'a dyn Fn(&str)>,
-}
-
-impl Default for Effort<'_> {
-    fn default() -> Self {
-        Self { limit: std::time::Duration::from_secs(24), watch: None }
-    }
-}
-
-impl std::fmt::Debug for Effort<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Effort").field("limit", &self.limit).finish_non_exhaustive()
-    }
-}
 
 /// Why there is no plan.
 #[derive(Clone, PartialEq, Debug)]
 pub enum NoPlan {
     /// No calendar exists: a few constraints that contradict each other.
     Impossible(Conflict),
-    /// None was found in the time allowed, nor a proof that none exists.
+    /// None was found in the steps allowed, nor a proof that none exists.
     GaveUp {
         /// How many slots there are to place.
         slots: usize,
@@ -64,19 +43,21 @@ pub enum NoPlan {
 /// Finds a calendar for the hard real-time channels.
 ///
 /// # Errors
-/// There is none, and why; or none was found in the time allowed.
+/// There is none, and why; or none was found in the steps allowed.
 pub fn plan(cluster: &Cluster, effort: &Effort<'_>) -> Result<Plan, NoPlan> {
     let layout = Layout::of(cluster);
     if layout.request.items.is_empty() {
         let cycle = Duration::from_millis(10);
         return Ok(Plan { segment: cluster.segment, cycle, slots: Vec::new(), method: Method::Empty });
     }
-    let strict = match search(&layout.request, effort) {
+    // Half for finding one, a quarter for the reasons if there is none; the rest is for ways out.
+    let whole = effort.left();
+    let strict = match effort.within(whole / 2, |part| search(&layout.request, part)) {
         exact::Answer::Placed(positions) => return Ok(finish(cluster, &layout, positions)),
         other => other,
     };
     // With jitter to use, the contradiction must be one of single occurrences.
-    let (last, answer) = match place_occurrences(cluster, &layout, effort) {
+    let (last, answer) = match effort.within(whole / 2, |part| place_occurrences(cluster, &layout, part)) {
         None => (layout, strict),
         Some((split, exact::Answer::Placed(positions))) => {
             return Ok(split.plan(cluster, &positions, Method::Occurrences));
@@ -85,7 +66,10 @@ pub fn plan(cluster: &Cluster, effort: &Effort<'_>) -> Result<Plan, NoPlan> {
     };
     let request = &last.request;
     match answer {
-        exact::Answer::Impossible => Err(NoPlan::Impossible(conflict::find(cluster, &last, effort))),
+        exact::Answer::Impossible => {
+            let conflict = effort.within(whole / 4, |part| conflict::find(cluster, &last, part));
+            Err(NoPlan::Impossible(conflict))
+        }
         _ => Err(NoPlan::GaveUp { slots: request.items.len(), reserved: request.utilisation() }),
     }
 }
@@ -93,6 +77,9 @@ pub fn plan(cluster: &Cluster, effort: &Effort<'_>) -> Result<Plan, NoPlan> {
 /// Returns whether there is a calendar. As [`plan`], without the reason if there is none.
 pub fn is_plannable(cluster: &Cluster, effort: &Effort<'_>) -> bool {
     let layout = Layout::of(cluster);
+    if !effort.spend(STEPS_OF_A_CHANNEL * cluster.channels.len() as u64) {
+        return false;
+    }
     if matches!(search(&layout.request, effort), exact::Answer::Placed(_)) {
         return true;
     }
@@ -111,10 +98,10 @@ fn place_occurrences(
     for part in [8, 4, 2, 1] {
         let split = layout.by_occurrence(cluster, part)?;
         // Less than all of the jitter is for comfort; most of the time is for what decides.
-        let limit = if part == 1 { effort.limit } else { effort.limit / 8 };
+        let most = if part == 1 { effort.left() } else { effort.left() / 8 };
         let answer = match conflict::obvious(&split.request) {
             Some(_) => exact::Answer::Impossible,
-            None => run_exact(&split.request, &Effort { limit, ..*effort }, Instant::now()),
+            None => effort.within(most, |part| run_exact(&split.request, part)),
         };
         let placed = matches!(answer, exact::Answer::Placed(_));
         last = Some((split, answer));
@@ -150,6 +137,39 @@ fn finish(cluster: &Cluster, layout: &Layout, placed: Vec<i64>) -> Plan {
             (best, least) = (other, strain);
         }
     }
+    widened(cluster, layout, best, least)
+}
+
+/// A plan under which no bound is worse, and the smallest gap between two windows is as wide as was found: windows are
+/// placed as if they were longer by the gap.
+fn widened(cluster: &Cluster, layout: &Layout, mut best: Plan, least: f64) -> Plan {
+    let method = best.method();
+    let mut gap = best.narrowest_gap();
+    let occurrences = best.occurrences().len().max(1) as u64;
+    let free = best.cycle().as_ticks() as f64 * (1.0 - best.reserved());
+    // No smallest gap is wider than the mean of all.
+    let mut too_wide = (free.max(0.0) / occurrences as f64) as u64 + 1;
+    for _ in 0..GAPS_TRIED {
+        let wish = gap.as_ticks() + too_wide.saturating_sub(gap.as_ticks()) / 2;
+        if wish <= gap.as_ticks() {
+            break;
+        }
+        let mut left = STEPS_OF_A_GAP;
+        let request = layout.request.with_gaps(i64::try_from(wish).unwrap_or(i64::MAX / 4));
+        let placed = request.and_then(|request| {
+            greedy::place(&request, &mut |steps: u64| {
+                left = left.saturating_sub(steps);
+                left > 0
+            })
+        });
+        let found = placed
+            .filter(|positions| layout.request.accepts(positions))
+            .map(|positions| layout.plan(cluster, &positions, method));
+        match found.filter(|plan| plan.narrowest_gap() > gap && strain(cluster, plan) <= least) {
+            Some(plan) => (gap, best) = (plan.narrowest_gap(), plan),
+            None => too_wide = wish,
+        }
+    }
     best
 }
 
@@ -166,39 +186,35 @@ fn strain(cluster: &Cluster, plan: &Plan) -> f64 {
 }
 
 fn greedy_found(request: &request::Request, positions: &[i64]) -> bool {
-    greedy::place(request, &mut || false).as_deref() == Some(positions)
+    greedy::place(request, &mut |_| false).as_deref() == Some(positions)
 }
 
 /// Quick placement, then the complete search.
 fn search(request: &request::Request, effort: &Effort<'_>) -> exact::Answer {
-    let started = Instant::now();
     if conflict::obvious(request).is_some() {
         return exact::Answer::Impossible;
     }
     let small = exact::size(request) <= EXACT_SIZE;
     // Where the complete search can take over it soon should.
     let share = if small { 20 } else { 3 };
-    let mut within_share = || {
-        report(effort, "placing slots");
-        started.elapsed() < effort.limit / share
-    };
-    if let Some(positions) = greedy::place(request, &mut within_share) {
-        return exact::Answer::Placed(positions);
+    let placed = effort.within(effort.left() / share, |part| {
+        greedy::place(request, &mut |steps| {
+            part.report("placing slots");
+            part.spend(steps)
+        })
+    });
+    match placed {
+        Some(positions) => exact::Answer::Placed(positions),
+        None if small => run_exact(request, effort),
+        None => exact::Answer::Unknown,
     }
-    if small { run_exact(request, effort, started) } else { exact::Answer::Unknown }
 }
 
-fn run_exact(request: &request::Request, effort: &Effort<'_>, started: Instant) -> exact::Answer {
-    exact::solve(request, &mut || {
-        report(effort, "searching all orders of slots");
-        started.elapsed() < effort.limit
+fn run_exact(request: &request::Request, effort: &Effort<'_>) -> exact::Answer {
+    exact::solve(request, &mut |steps| {
+        effort.report("searching all orders of slots");
+        effort.spend(steps)
     })
-}
-
-fn report(effort: &Effort<'_>, what: &str) {
-    if let Some(watch) = effort.watch {
-        watch(what);
-    }
 }
 
 /// How many hard real-time channels there are.
@@ -206,6 +222,13 @@ pub fn hard_channels(cluster: &Cluster) -> impl Iterator<Item = usize> + '_ {
     let hard = |at: &usize| matches!(cluster.channels[*at].class, Class::Hard { .. });
     (0..cluster.channels.len()).filter(hard)
 }
+
+/// So many widths of a gap are tried, and with so many steps each.
+const GAPS_TRIED: usize = 16;
+const STEPS_OF_A_GAP: u64 = 20_000_000;
+
+/// What it takes to lay a cluster out, for each channel.
+const STEPS_OF_A_CHANNEL: u64 = 500;
 
 /// Slots up to which several calendars are compared.
 const MOST_TO_COMPARE: usize = 120;

@@ -95,15 +95,18 @@ impl Change {
 /// A wish given up costs 1, each omission less 2, a longer period 3 and its factor, a higher bit rate 10 and
 /// its factor. Only channels of the conflict are changed: another change cannot help.
 pub fn relaxations(cluster: &Cluster, conflict: &Conflict, effort: &Effort<'_>) -> Vec<Relaxation> {
-    // Many variants are tried; each gets a part of the time.
-    let part = Effort { limit: effort.limit / 16, watch: effort.watch };
-    let helps = |change: &Change| is_plannable(&change.apply(cluster), &part);
+    // Many variants are tried; each gets a part of the steps.
+    let share = effort.left() / 24;
+    let helps = |change: &Change| {
+        effort.report("looking for ways out");
+        effort.within(share, |part| is_plannable(&change.apply(cluster), part))
+    };
     let mut found = Vec::new();
     for change in first_of_each_kind(cluster, conflict, &helps) {
         found.push(Relaxation { change: change.describe(cluster), cost: change.cost(cluster) });
     }
     if found.is_empty() {
-        found.extend(together(cluster, conflict, &part));
+        found.extend(together(cluster, conflict, effort));
     }
     found.sort_by_key(|relaxation| relaxation.cost);
     // Members of a pool change together.
@@ -134,7 +137,7 @@ fn first_of_each_kind(
     helps: &dyn Fn(&Change) -> bool,
 ) -> Vec<Change> {
     let mut found = Vec::new();
-    for &channel in &conflict.channels {
+    for &channel in conflict.channels.iter().take(MOST_TRIED) {
         let wished = Change::Wishes { channel };
         if wished.apply(cluster) != *cluster && helps(&wished) {
             found.push(wished);
@@ -167,12 +170,14 @@ fn together(cluster: &Cluster, conflict: &Conflict, effort: &Effort<'_>) -> Opti
     let mut changes: Vec<Change> = Vec::new();
     for _ in 0..MOST_TOGETHER {
         let clashing = only(&changed, &conflict.channels);
-        let helps = |change: &Change| is_plannable(&change.apply(&clashing), effort);
+        let share = effort.left() / 24;
+        let helps =
+            |change: &Change| effort.within(share, |part| is_plannable(&change.apply(&clashing), part));
         let candidates = first_of_each_kind(&changed, &conflict, &helps);
         let change = candidates.into_iter().min_by_key(|change| change.cost(&changed))?;
         changed = change.apply(&changed);
         changes.push(change);
-        match plan(&changed, effort) {
+        match effort.within(effort.left() / 4, |part| plan(&changed, part)) {
             Ok(_) => {
                 drop_needless(cluster, &mut changes, effort);
                 let words: Vec<String> = changes.iter().map(|change| change.describe(cluster)).collect();
@@ -192,7 +197,7 @@ fn drop_needless(cluster: &Cluster, changes: &mut Vec<Change>, effort: &Effort<'
     while at < changes.len() && changes.len() > 1 {
         let others = changes.iter().enumerate().filter(|(k, _)| *k != at).map(|(_, change)| change);
         let changed = others.fold(cluster.clone(), |changed, change| change.apply(&changed));
-        if is_plannable(&changed, effort) {
+        if effort.within(effort.left() / 8, |part| is_plannable(&changed, part)) {
             changes.remove(at);
         } else {
             at += 1;
@@ -209,6 +214,11 @@ fn only(cluster: &Cluster, channels: &[usize]) -> Cluster {
     fewer
 }
 
+/// Of a conflict of many channels the largest are tried.
+const MOST_TRIED: usize = 24;
+
 const MOST_TOGETHER: usize = 8;
 const LARGEST: usize = 6;
-const USUAL_RATES: [u32; 8] = [20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000];
+/// Bit rates that are in use.
+pub(crate) const USUAL_RATES: [u32; 8] =
+    [20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000];

@@ -83,6 +83,21 @@ impl Request {
         bounded && spaced && apart && linked
     }
 
+    /// The request in which every window is longer by a gap; `None` if a link leaves no room for it.
+    pub fn with_gaps(&self, gap: i64) -> Option<Self> {
+        let mut wider = self.clone();
+        for item in &mut wider.items {
+            item.window += gap;
+            if item.window > item.period {
+                return None;
+            }
+        }
+        for link in &mut wider.links {
+            link.within = link.within.checked_sub(gap).filter(|within| *within >= 0)?;
+        }
+        Some(wider)
+    }
+
     /// The request with only some of its items, and the links between them.
     pub fn restricted(&self, keep: &[usize]) -> Self {
         let place = |old: usize| keep.iter().position(|k| *k == old);

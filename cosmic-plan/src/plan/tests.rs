@@ -7,7 +7,6 @@ use super::{Effort, exact, greedy, search, spread};
 use proptest::prelude::*;
 use proptest::test_runner::{RngAlgorithm, TestRng};
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 fn rng(seed: u64) -> TestRng {
     let mut bytes = [0; 32];
@@ -67,7 +66,7 @@ fn what_was_planted_is_found() {
             for seed in 0..8 {
                 let plant = Plant { periods, windows: windows.clone(), slots: 50, bounded, dense };
                 let request = planted(seed, &plant);
-                let effort = Effort { limit: Duration::from_secs(60), watch: None };
+                let effort = Effort::of(60_000_000_000);
                 let exact::Answer::Placed(positions) = search(&request, &effort) else {
                     panic!("seed {seed}, periods {periods:?}, bounded {bounded}, dense {dense}: not found");
                 };
@@ -133,7 +132,7 @@ proptest! {
 
     #[test]
     fn the_complete_search_agrees_with_brute_force(request in small_request()) {
-        match exact::solve(&request, &mut || true) {
+        match exact::solve(&request, &mut |_| true) {
             exact::Answer::Placed(positions) => prop_assert!(request.accepts(&positions), "{positions:?}"),
             exact::Answer::Impossible => prop_assert!(!brute_force(&request)),
             exact::Answer::Unknown => prop_assert!(false, "nobody stopped it"),
@@ -142,7 +141,7 @@ proptest! {
 
     #[test]
     fn quick_placement_breaks_no_rule(request in small_request()) {
-        if let Some(positions) = greedy::place(&request, &mut || true) {
+        if let Some(positions) = greedy::place(&request, &mut |_| true) {
             prop_assert!(request.accepts(&positions), "{positions:?}");
         }
     }

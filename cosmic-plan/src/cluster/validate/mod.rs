@@ -1,19 +1,20 @@
 //! From the tables of a file to a cluster that can only be valid.
 
+mod channel;
+mod foreign;
 mod recurrence;
 mod sealing;
 mod segment;
 
 use super::contents::Contents;
-use super::format::{self, ChannelTable, ClusterFile, ForeignTable, NodeTable};
-use super::values::{BindingName, ClassName};
-use super::{After, Binding, Channel, Class, Cluster, Foreign, Node, Pool, Wishes, dbc};
+use super::format::{self, ChannelTable, ClusterFile, NodeTable};
+use super::values::BindingName;
+use super::{Binding, Channel, Class, Cluster, Node, Pool, Wishes};
 use crate::analysis::errors::ErrorModel;
-use crate::contents::Layout;
 use crate::document::{At, Log, Place, Problem, Problems, Source, nearest};
 use crate::units::show;
 use cosmic_core::calendar::Calendar;
-use cosmic_core::can::{Etag, Payload, TxNode};
+use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::network::fragments::MAX_MESSAGE_LEN;
 use cosmic_core::protocol::Rank;
 use cosmic_core::time::Duration;
@@ -37,6 +38,27 @@ struct Checker<'a> {
     log: &'a Log,
 }
 
+/// Names that others refer to.
+struct Names<'a> {
+    list: Vec<&'a str>,
+    positions: HashMap<&'a str, usize>,
+}
+
+impl<'a> Names<'a> {
+    fn of(names: impl Iterator<Item = &'a str>) -> Self {
+        let list: Vec<&str> = names.collect();
+        let mut positions = HashMap::new();
+        for (at, name) in list.iter().enumerate() {
+            positions.entry(*name).or_insert(at);
+        }
+        Self { list, positions }
+    }
+
+    fn position(&self, name: &str) -> Option<usize> {
+        self.positions.get(name).copied()
+    }
+}
+
 impl Checker<'_> {
     fn problem(&self, place: &Place, field: String, what: impl Into<String>, help: impl Into<String>) {
         self.log.add(Problem { place: Some(place.clone()), field, what: what.into(), help: help.into() });
@@ -45,7 +67,7 @@ impl Checker<'_> {
     /// Where something is wrong already, defaults stand in; the cluster is then not used.
     fn cluster(&self, file: &ClusterFile, folder: &Path) -> Cluster {
         let (segment, priority_step) = self.segment(&file.segment);
-        let names: Vec<&str> = file.channel.iter().map(|c| name_of(&c.name)).collect();
+        let names = Names::of(file.channel.iter().map(|c| name_of(&c.name)));
         let contents = Contents { log: self.log }.layouts(&file.content);
         self.unique("content", file.content.iter().map(|c| (&c.name, &c.place)), |at| at.value.0.clone());
         let mut channels: Vec<Channel> =
@@ -95,165 +117,12 @@ impl Checker<'_> {
         Cluster { pools, ..cluster }
     }
 
-    fn channel(&self, table: &ChannelTable, names: &[&str], contents: &[Layout]) -> Channel {
-        let name = name_of(&table.name);
-        let field = |field: &str| format!("channel.{name}.{field}");
-        let class_name = table.class.as_ref().map_or(ClassName::Soft, |at| at.value);
-        self.fields_of_class(table, class_name);
-        let recurrence = self.recurrence(table, &field);
-        let deadline = table.deadline.as_ref().map(|at| at.value.0);
-        let missing = deadline.is_none() && !table.malformed.contains(&"deadline");
-        if class_name == ClassName::Soft && table.class.is_some() && missing {
-            let help = "soft real-time channels need one: deadline = \"20 ms\"";
-            self.problem(&start_of(&table.place), field("deadline"), "is missing", help);
-        }
-        let class = match class_name {
-            ClassName::Hard => Class::Hard {
-                omission_degree: table.omission_degree.as_ref().map_or(1, |at| at.value),
-                wishes: self.wishes(table, names, recurrence.span()),
-            },
-            ClassName::Soft => Class::Soft,
-            ClassName::NonRealTime => Class::NonRealTime { importance: self.importance(table, &field) },
-        };
-        let most = if class_name == ClassName::NonRealTime { LONGEST_EVENT } else { Payload::MAX_LEN as u16 };
-        let (length, content) = self.length(table, contents, most, &field);
-        Channel {
-            name: name.to_owned(),
-            subject: table.subject.as_ref().map_or(1, |at| at.value.0),
-            etag: None,
-            length,
-            content,
-            burst: self.burst(table, &field),
-            allowed_jitter: recurrence::allowed_jitter(table, recurrence),
-            recurrence,
-            jitter: table.jitter.as_ref().map_or(ZERO, |at| at.value.0),
-            deadline,
-            validity: table.validity.as_ref().map(|at| at.value.0),
-            class,
-        }
-    }
-
-    /// Bytes of an event, and what stands in them.
-    fn length(
-        &self,
-        table: &ChannelTable,
-        contents: &[Layout],
-        most: u16,
-        field: &dyn Fn(&str) -> String,
-    ) -> (u16, Option<usize>) {
-        let content = table.content.as_ref().and_then(|at| {
-            let names: Vec<&str> = contents.iter().map(|layout| layout.name.as_str()).collect();
-            self.resolve(at, &names, field("content"), "content")
-        });
-        let of_content = content.map(|at| contents[at].len).and_then(|len| u16::try_from(len).ok());
-        let help = format!("write at most {most}; longer events (up to {LONGEST_EVENT}) are NRT");
-        match (&table.length, of_content) {
-            (Some(at), _) if at.value > most => {
-                self.problem(&at.place, field("length"), format!("{} bytes are too many", at.value), help);
-            }
-            (Some(at), Some(len)) if at.value != len => {
-                let what = format!("{} is not the length of the content, {len}", at.value);
-                self.problem(&at.place, field("length"), what, "leave it out: the content says it");
-            }
-            // A content that is too long for any event is a problem of its own.
-            (None, Some(len)) if len > most && len <= LONGEST_EVENT => {
-                let place = table.content.as_ref().map_or(0..0, |at| at.place.clone());
-                let help = format!("take fields out; longer events (up to {LONGEST_EVENT}) are NRT");
-                self.problem(&place, field("content"), format!("its {len} bytes are more than {most}"), help);
-            }
-            (None, None) if table.content.is_none() && !self.is_malformed(table, &["length", "content"]) => {
-                let help = "write how many bytes an event has at most: length = 4; or its content";
-                self.problem(&start_of(&table.place), field("length"), "is missing", help);
-            }
-            _ => {}
-        }
-        (table.length.as_ref().map(|at| at.value).or(of_content).unwrap_or(0), content)
-    }
-
-    fn is_malformed(&self, table: &ChannelTable, fields: &[&str]) -> bool {
-        table.malformed.iter().any(|field| fields.contains(field))
-    }
-
-    fn importance(&self, table: &ChannelTable, field: &dyn Fn(&str) -> String) -> u8 {
-        let Some(at) = &table.importance else { return Class::LEAST_IMPORTANT };
-        if at.value > Class::LEAST_IMPORTANT {
-            let what = format!("{} is above {}", at.value, Class::LEAST_IMPORTANT);
-            let help = format!("write 0 (most important) to {} (least)", Class::LEAST_IMPORTANT);
-            self.problem(&at.place, field("importance"), what, help);
-        }
-        at.value
-    }
-
-    /// Fields that mean nothing in the class, and spans that contradict each other.
-    fn fields_of_class(&self, table: &ChannelTable, class: ClassName) {
-        let name = name_of(&table.name);
-        let hard = [
-            ("omission_degree", table.omission_degree.as_ref().map(|at| &at.place)),
-            ("phase", table.phase.as_ref().map(|at| &at.place)),
-            ("earliest", table.earliest.as_ref().map(|at| &at.place)),
-            ("after", table.after.as_ref().and_then(|after| after.channel.as_ref()).map(|at| &at.place)),
-        ];
-        let important = [("importance", table.importance.as_ref().map(|at| &at.place))];
-        let misplaced = hard.iter().filter(|_| class != ClassName::Hard).map(|field| (field, "HRT"));
-        let other = important.iter().filter(|_| class != ClassName::NonRealTime).map(|field| (field, "NRT"));
-        for (&(field, place), owner) in misplaced.chain(other) {
-            if let (Some(place), true) = (place, table.class.is_some()) {
-                let help = format!("leave it out, or make the channel {owner}");
-                let what = format!("means something for {owner} channels only");
-                self.problem(place, format!("channel.{name}.{field}"), what, help);
-            }
-        }
-        if let (Some(deadline), Some(validity)) = (&table.deadline, &table.validity)
-            && validity.value.0 < deadline.value.0
-        {
-            let what = "an event would expire before its deadline";
-            let help = format!("write at least the deadline, {}", show(deadline.value.0));
-            self.problem(&validity.place, format!("channel.{name}.validity"), what, help);
-        }
-    }
-
-    fn wishes(&self, table: &ChannelTable, names: &[&str], period: Duration) -> Wishes {
-        let name = name_of(&table.name);
-        let within_period = |at: &Option<At<super::values::Span>>, field: &str| {
-            let at = at.as_ref()?;
-            if at.value.0 >= period {
-                let what = format!("{} is not less than the period, {}", show(at.value.0), show(period));
-                let help = "write an instant within the period";
-                self.problem(&at.place, format!("channel.{name}.{field}"), what, help);
-            }
-            Some(at.value.0)
-        };
-        if let Some(at) = table.deadline.as_ref().filter(|at| at.value.0 > period) {
-            let what = format!("{} is longer than the period, {}", show(at.value.0), show(period));
-            let help = "a slot delivers within its period: write at most the period, or leave it out";
-            self.problem(&at.place, format!("channel.{name}.deadline"), what, help);
-        }
-        let after = table.after.as_ref().and_then(|after| {
-            let at = after.channel.as_ref()?;
-            let channel = self.resolve(at, names, format!("channel.{name}.after.channel"), "channel")?;
-            if names[channel] == name {
-                let help = "name another channel";
-                self.problem(
-                    &at.place,
-                    format!("channel.{name}.after.channel"),
-                    "is the channel itself",
-                    help,
-                );
-                return None;
-            }
-            Some(After { channel, within: after.within.as_ref()?.value.0 })
-        });
-        Wishes {
-            phase: within_period(&table.phase, "phase"),
-            earliest: within_period(&table.earliest, "earliest"),
-            after,
-        }
-    }
-
-    fn resolve(&self, at: &At<String>, names: &[&str], field: String, kind: &str) -> Option<usize> {
-        let found = names.iter().position(|name| *name == at.value);
+    fn resolve(&self, at: &At<String>, names: &Names<'_>, field: String, kind: &str) -> Option<usize> {
+        let found = names.position(&at.value);
         if found.is_none() {
-            let help = match nearest(&at.value, names.iter().copied()) {
+            // Comparing with all names costs time, which a file full of mistakes has not.
+            let few = self.log.len() < MOST_COMPARED;
+            let help = match few.then(|| nearest(&at.value, names.list.iter().copied())).flatten() {
                 Some(name) => format!("did you mean `{name}`?"),
                 None => format!("write a [[{kind}]] with name = {:?}", at.value),
             };
@@ -262,7 +131,7 @@ impl Checker<'_> {
         found
     }
 
-    fn nodes(&self, tables: &[NodeTable], names: &[&str]) -> Vec<Node> {
+    fn nodes(&self, tables: &[NodeTable], names: &Names<'_>) -> Vec<Node> {
         let given: Vec<u8> = tables.iter().filter_map(|t| t.tx_node.as_ref()).map(|at| at.value).collect();
         let mut free = (1..=TxNode::MAX.get()).filter(|id| !given.contains(id));
         let taken: Vec<Rank> = tables.iter().filter_map(|t| t.rank.as_ref()?.value.0).collect();
@@ -283,7 +152,7 @@ impl Checker<'_> {
     fn node(
         &self,
         table: &NodeTable,
-        names: &[&str],
+        names: &Names<'_>,
         free: &mut dyn Iterator<Item = u8>,
         ranks: &mut dyn Iterator<Item = Rank>,
     ) -> Node {
@@ -408,60 +277,8 @@ impl Checker<'_> {
         }
     }
 
-    fn foreign(&self, table: &ForeignTable, folder: &Path) -> Vec<Foreign> {
-        let name = table.name.as_ref().map_or("", |at| at.value.as_str());
-        let period = table.period.as_ref().map(|at| at.value.0);
-        if let Some(at) = &table.dbc {
-            let frames = dbc::read(&folder.join(&at.value), period).unwrap_or_else(|(what, help)| {
-                self.problem(&at.place, "foreign.dbc".to_owned(), what, help);
-                Vec::new()
-            });
-            for frame in frames.iter().filter(|frame| beats_hard(frame.id, frame.extended)) {
-                let what = format!("{} would win against hard real-time frames", frame.name);
-                self.problem(&at.place, "foreign.dbc".to_owned(), what, ABOVE_HARD);
-            }
-            return frames;
-        }
-        let (Some(id), Some(length), Some(period)) = (&table.id, &table.length, period) else {
-            if table.malformed.is_empty() {
-                let help = "write id, length and period of the frame, or dbc = \"file.dbc\"";
-                self.problem(&start_of(&table.place), format!("foreign.{name}"), "is incomplete", help);
-            }
-            return Vec::new();
-        };
-        let extended = table.extended.as_ref().map_or(id.value > 0x7FF, |at| at.value);
-        let limit: u32 = if extended { 0x1FFF_FFFF } else { 0x7FF };
-        if id.value > limit {
-            let help = format!("write at most {limit:#x}");
-            self.problem(
-                &id.place,
-                format!("foreign.{name}.id"),
-                format!("{:#x} is too large", id.value),
-                help,
-            );
-        }
-        if length.value > 8 {
-            let what = format!("{} bytes are too many", length.value);
-            self.problem(&length.place, format!("foreign.{name}.length"), what, "write at most 8");
-        }
-        if beats_hard(id.value, extended) {
-            let what = "it would win against hard real-time frames, which have the priority 0";
-            self.problem(&id.place, format!("foreign.{name}.id"), what, ABOVE_HARD);
-        }
-        let fallback = format!("{:#x}", id.value);
-        vec![Foreign {
-            name: if name.is_empty() { fallback } else { name.to_owned() },
-            id: id.value,
-            extended,
-            length: length.value.min(8),
-            period,
-            jitter: table.jitter.as_ref().map_or(ZERO, |at| at.value.0),
-            deadline: table.deadline.as_ref().map(|at| at.value.0),
-        }]
-    }
-
     fn pool(&self, table: &format::PoolTable, cluster: &Cluster) -> Pool {
-        let names: Vec<&str> = cluster.channels.iter().map(|c| c.name.as_str()).collect();
+        let names = Names::of(cluster.channels.iter().map(|c| c.name.as_str()));
         let mut pool = Pool { channels: Vec::new(), faults: table.faults.as_ref().map_or(1, |at| at.value) };
         for at in &table.channels {
             let Some(channel) = self.resolve(at, &names, "pool.channels".to_owned(), "channel") else {
@@ -508,11 +325,6 @@ fn name_of(name: &Option<At<super::values::Name>>) -> &str {
     name.as_ref().map_or("", |at| &at.value.0)
 }
 
-/// Returns whether the first eight bits are those of hard real-time, the priority 0.
-fn beats_hard(id: u32, extended: bool) -> bool {
-    if extended { id >> 21 == 0 } else { id >> 3 == 0 }
-}
-
 fn start_of(place: &Place) -> Place {
     place.start..place.start
 }
@@ -524,7 +336,8 @@ fn gcd(mut a: u64, mut b: u64) -> u64 {
     a
 }
 
-const ABOVE_HARD: &str = "choose identifiers from 0x8 (11 bits) or 0x200000 (29 bits) up";
+/// With so many problems names are no longer compared for the one that may be meant.
+const MOST_COMPARED: usize = 100;
 
 /// Stands in for a period that is not known. Longer than any, so that nothing in the channel is too long for it.
 const UNKNOWN_PERIOD: Duration = crate::units::LONGEST_SPAN;

@@ -18,8 +18,12 @@ pub(super) enum Answer {
     Unknown,
 }
 
-/// Searches for positions; `proceed` is asked now and then whether to go on.
-pub(super) fn solve(request: &Request, proceed: &mut dyn FnMut() -> bool) -> Answer {
+/// Searches for positions; `proceed` is told now and then how many steps were taken, and says whether to go on.
+pub(super) fn solve(request: &Request, proceed: &mut dyn FnMut(u64) -> bool) -> Answer {
+    let items = request.items.len() as u64;
+    if !proceed(20 * items * items) {
+        return Answer::Unknown;
+    }
     let Some(separations) = separations(request) else { return Answer::Impossible };
     let always = always(request);
     let Some(mut search) = Search::new(request.items.len() + 1, &always, separations) else {
@@ -105,7 +109,7 @@ mod tests {
 
     fn solved(items: &[Item], links: &[Link]) -> Answer {
         let request = Request { items: items.to_vec(), links: links.to_vec() };
-        let answer = solve(&request, &mut || true);
+        let answer = solve(&request, &mut |_| true);
         if let Answer::Placed(positions) = &answer {
             assert!(request.accepts(positions), "{positions:?}");
         }

@@ -91,6 +91,8 @@ pub(super) enum Verdict {
 pub(super) struct Search {
     n: usize,
     separations: Vec<Separation>,
+    /// Steps taken since the budget was last asked.
+    steps: u64,
     laps: Vec<Laps>,
     of_pair: Vec<Vec<u32>>,
     variables: Vec<Variable>,
@@ -145,6 +147,7 @@ impl Search {
             changed: Vec::new(),
             seen: Vec::new(),
             separations,
+            steps: 0,
         };
         search.make_variables();
         Some(search)
@@ -174,26 +177,25 @@ impl Search {
         self.watches = vec![Vec::new(); 2 * count];
     }
 
-    /// Runs until it is decided, or `proceed` (asked every few conflicts) says no.
-    pub(super) fn run(&mut self, proceed: &mut dyn FnMut() -> bool) -> Verdict {
+    /// Runs until it is decided, or `proceed`, which is told how many steps were taken, says no.
+    pub(super) fn run(&mut self, proceed: &mut dyn FnMut(u64) -> bool) -> Verdict {
         self.changed = (0..self.n * self.n).map(|at| (at / self.n, at % self.n)).collect();
         if self.consequences().is_err() {
             return Verdict::Impossible;
         }
-        let mut conflicts: u64 = 0;
         let mut restart = 1;
         let mut until_restart = RESTART_UNIT * luby(restart);
         loop {
+            if self.steps >= STEPS_BETWEEN && !proceed(std::mem::take(&mut self.steps)) {
+                return Verdict::GaveUp;
+            }
             match self.propagate() {
                 Err(conflict) => {
+                    self.steps += 20 * (self.trail.len() + conflict.len()) as u64;
                     if self.levels.is_empty() || !self.learn(conflict) {
                         return Verdict::Impossible;
                     }
-                    conflicts += 1;
                     until_restart = until_restart.saturating_sub(1);
-                    if conflicts.is_multiple_of(64) && !proceed() {
-                        return Verdict::GaveUp;
-                    }
                 }
                 Ok(()) if until_restart == 0 => {
                     restart += 1;
@@ -201,7 +203,7 @@ impl Search {
                     self.back_to(0);
                     self.forget();
                 }
-                Ok(()) => match self.decide() {
+                Ok(()) => match self.choose() {
                     Some(literal) => {
                         self.levels.push(Level {
                             trail: self.trail.len(),
@@ -219,6 +221,11 @@ impl Search {
     /// The earliest positions that the constraints so far allow.
     fn positions(&self) -> Vec<i64> {
         (0..self.n).map(|v| -self.differences.bound(v, 0)).collect()
+    }
+
+    fn choose(&mut self) -> Option<Literal> {
+        self.steps += 4 * self.separations.len() as u64;
+        self.decide()
     }
 
     /// An undecided truth value whose separation the earliest positions break; `None` if they break none.
@@ -244,6 +251,7 @@ impl Search {
     }
 
     fn assign(&mut self, literal: Literal, reason: Reason) {
+        self.steps += 10;
         let variable = literal.variable();
         self.value[variable] = Some(literal.truth());
         self.level[variable] = self.levels.len() as u32;
@@ -279,7 +287,9 @@ impl Search {
         } else {
             (s.j, s.i, s.low + lap * s.modulus)
         };
-        match self.differences.add(edge, Some(literal), &mut self.changed) {
+        let added = self.differences.add(edge, Some(literal), &mut self.changed);
+        self.steps += 4 * self.n as u64 + 10 * self.changed.len() as u64;
+        match added {
             Ok(()) => self.consequences(),
             Err(literals) => {
                 self.changed.clear();
@@ -296,6 +306,7 @@ impl Search {
             // The bound on x_v - x_u.
             let bound = self.differences.bound(u, v);
             for at in 0..self.of_pair[u * self.n + v].len() {
+                self.steps += 8;
                 let separation = self.of_pair[u * self.n + v][at] as usize;
                 let (s, laps) = (self.separations[separation], self.laps[separation]);
                 // x_i - x_j <= bound rules "behind" out from some lap on; x_j - x_i <= bound rules "in
@@ -313,6 +324,7 @@ impl Search {
                     }
                     let mut clause = vec![literal];
                     clause.extend(self.differences.explain(u, v).into_iter().map(Literal::negated));
+                    self.steps += 60 + 20 * clause.len() as u64;
                     if self.is_false(literal) {
                         result = Err(clause);
                         break 'pairs;
@@ -331,6 +343,7 @@ impl Search {
     fn visit_watches(&mut self, literal: Literal) -> Result<(), Vec<Literal>> {
         let false_literal = literal.negated();
         let mut watching = std::mem::take(&mut self.watches[false_literal.index()]);
+        self.steps += 10 * watching.len() as u64;
         let mut at = 0;
         let mut result = Ok(());
         while at < watching.len() {
@@ -486,6 +499,9 @@ impl Search {
         }
     }
 }
+
+/// So many steps are taken before the budget is asked.
+const STEPS_BETWEEN: u64 = 100_000;
 
 const RESTART_UNIT: u64 = 100;
 const CLAUSE_LIMIT: usize = 20_000;

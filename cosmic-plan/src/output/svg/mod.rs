@@ -1,9 +1,13 @@
 //! A picture of the calendar: one cycle as a time line, and one slot in detail.
 //!
-//! The top lane shows all windows and what is free; below, one lane for each channel (or for each node,
-//! if there are many channels). Opened in a browser, the wheel zooms around the pointer, dragging moves,
+//! The top lane shows all windows and what is free; below, one lane for each channel and publisher (or for each node,
+//! if there are very many), the load over the cycle, and the bounds of the other classes against their deadlines. Opened in a browser, the wheel zooms around the pointer, dragging moves,
 //! a double click shows all again, and every window tells its instants when the pointer rests on it.
 
+mod bounds;
+mod load;
+
+use crate::analysis::segment::Assessment;
 use crate::cluster::Cluster;
 use crate::plan::{Plan, PlannedSlot};
 use crate::units::show;
@@ -12,17 +16,23 @@ use svg::Document;
 use svg::node::element::{Group, Line, Polygon, Rectangle, Script, Style, Text, Title};
 
 /// The text of the file.
-pub fn render(cluster: &Cluster, plan: &Plan) -> String {
+pub fn render(cluster: &Cluster, plan: &Plan, assessment: &Assessment) -> String {
     let lanes = lanes(cluster, plan);
-    let detail_top = TOP + LANE * (lanes.len() as f64 + 1.0) + 50.0;
-    let height = detail_top + if plan.slots().is_empty() { 40.0 } else { DETAIL + 60.0 };
+    let lane = if lanes.len() > FEW_LANES { LOW_LANE } else { LANE };
+    let bottom = TOP + LANE + lane * lanes.len() as f64;
+    let detail_top = bottom + 50.0;
+    let load_top = detail_top + if plan.slots().is_empty() { 30.0 } else { DETAIL + 40.0 };
+    let (load, load_height) = load::draw(plan, assessment, load_top);
+    let bounds_top = load_top + load_height;
+    let (bounds, bounds_height) = bounds::draw(cluster, assessment, bounds_top);
+    let height = bounds_top + bounds_height;
     let scale = Scale { cycle: plan.cycle().as_ticks().max(1) as f64 };
     let mut lines = Group::new().set("id", "zoomed");
     lines = lines.add(all_windows(plan, &scale));
-    for (at, lane) in lanes.iter().enumerate() {
-        lines = lines.add(lane_of(cluster, plan, &scale, lane, TOP + LANE * (at as f64 + 1.0)));
+    for (at, entry) in lanes.iter().enumerate() {
+        let top = TOP + LANE + lane * at as f64;
+        lines = lines.add(lane_of(cluster, plan, &scale, entry, top, lane));
     }
-    let bottom = TOP + LANE * (lanes.len() as f64 + 1.0);
     lines = lines.add(axis(plan.cycle(), &scale, bottom));
     // What is zoomed must not run into the labels.
     let clip = svg::node::element::ClipPath::new()
@@ -36,7 +46,7 @@ pub fn render(cluster: &Cluster, plan: &Plan) -> String {
         .add(heading(cluster, plan))
         .add(clip)
         .add(Group::new().set("clip-path", "url(#lines)").add(lines))
-        .add(labels(&lanes));
+        .add(labels(&lanes, lane));
     if let Some(first) = plan.slots().iter().max_by_key(|planned| planned.times.delivery) {
         document = document.add(detail(cluster, first, detail_top));
     } else {
@@ -45,7 +55,7 @@ pub fn render(cluster: &Cluster, plan: &Plan) -> String {
                 .set("class", "label"),
         );
     }
-    document = document.add(Script::new(ZOOM));
+    document = document.add(load).add(bounds).add(Script::new(ZOOM));
     format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{document}\n")
 }
 
@@ -68,7 +78,7 @@ struct Lane {
 
 fn lanes(cluster: &Cluster, plan: &Plan) -> Vec<Lane> {
     let by_node =
-        plan.slots().iter().map(|s| s.channel).collect::<std::collections::BTreeSet<_>>().len() > 24;
+        plan.slots().iter().map(|s| s.channel).collect::<std::collections::BTreeSet<_>>().len() > MOST_LANES;
     let mut lanes: Vec<Lane> = Vec::new();
     for (at, planned) in plan.slots().iter().enumerate() {
         let node = &cluster.nodes[planned.node].name;
@@ -80,6 +90,14 @@ fn lanes(cluster: &Cluster, plan: &Plan) -> Vec<Lane> {
         }
     }
     lanes
+}
+
+/// A label that ends where the lanes begin.
+fn shortened(label: &str) -> String {
+    if label.chars().count() <= LABEL {
+        return label.to_owned();
+    }
+    label.chars().take(LABEL - 1).chain(['…']).collect()
 }
 
 fn text(x: f64, y: f64, content: impl Into<String>) -> Text {
@@ -139,11 +157,12 @@ fn legend() -> Group {
     group
 }
 
-fn labels(lanes: &[Lane]) -> Group {
+fn labels(lanes: &[Lane], height: f64) -> Group {
     let mut group = Group::new().add(text(20.0, TOP + LANE * 0.6, "bus").set("class", "label"));
     for (at, lane) in lanes.iter().enumerate() {
-        let y = TOP + LANE * (at as f64 + 1.6);
-        group = group.add(text(20.0, y, &*lane.label).set("class", "label"));
+        let y = TOP + LANE + height * (at as f64 + 0.5) + 4.0;
+        let class = if height < LANE { "small" } else { "label" };
+        group = group.add(text(20.0, y, shortened(&lane.label)).set("class", class));
     }
     group
 }
@@ -157,19 +176,19 @@ fn all_windows(plan: &Plan, scale: &Scale) -> Group {
     group
 }
 
-fn lane_of(cluster: &Cluster, plan: &Plan, scale: &Scale, lane: &Lane, top: f64) -> Group {
+fn lane_of(cluster: &Cluster, plan: &Plan, scale: &Scale, lane: &Lane, top: f64, height: f64) -> Group {
     let mut group = Group::new().add(
         Line::new()
             .set("x1", LEFT)
             .set("x2", LEFT + WIDTH)
-            .set("y1", top + LANE)
-            .set("y2", top + LANE)
+            .set("y1", top + height)
+            .set("y2", top + height)
             .set("class", "rule"),
     );
     for (ready, planned) in plan.occurrences() {
         let ours = lane.slots.iter().any(|at| std::ptr::eq(&plan.slots()[*at], planned));
         if ours {
-            let drawn = window(plan, scale, ready, planned, top + 6.0, LANE - 12.0);
+            let drawn = window(plan, scale, ready, planned, top + 0.15 * height, 0.7 * height);
             group = group.add(drawn.add(Title::new(hint(cluster, ready, planned))));
         }
     }
@@ -337,6 +356,13 @@ const LEFT: f64 = 210.0;
 const WIDTH: f64 = 1180.0;
 const TOP: f64 = 64.0;
 const LANE: f64 = 40.0;
+/// With more lanes than a few each is lower.
+const FEW_LANES: usize = 24;
+const LOW_LANE: f64 = 16.0;
+/// With more channels there is a lane for each node only.
+const MOST_LANES: usize = 150;
+/// Letters of a label that fit beside the lanes.
+const LABEL: usize = 27;
 const DETAIL: f64 = 130.0;
 
 const STYLE: &str = "
@@ -345,6 +371,8 @@ const STYLE: &str = "
 .wait { fill: #bcd2ee } .frame { fill: #1f5fa8 } .retry { fill: #6d9fd6 } .gap { fill: #d9d9d9 }
 .free { fill: #d9efd5 } .rule { stroke: #ddd } .axis { stroke: #333 } .mark { fill: #b03030 }
 .tick { stroke: #999; stroke-dasharray: 2 3 } .instant { stroke: #b03030 }
+.provision { fill: #bcd2ee } .bound { fill: #4f8a4b } .late { fill: #b03030 }
+.others { stroke: #4f8a4b; stroke-width: 2; stroke-dasharray: 6 3 }
 .lst { stroke: #0b2c52 } .deadline { stroke: #b03030; stroke-width: 1.5 }
 .tick, .rule, .axis, .instant, .lst, .deadline { vector-effect: non-scaling-stroke }
 ";
