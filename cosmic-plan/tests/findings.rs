@@ -214,7 +214,7 @@ fn one_budget_of_steps_is_for_all() {
     assert_eq!(conflict.reason, "the windows need more than all of the time");
     relaxations(&full, &conflict, &effort);
     // A set that takes a search: how far it goes depends on the steps, not on the machine.
-    let tight = hard(&(0..6).map(|at| ([6_000, 10_000, 14_000][at % 3], 1)).collect::<Vec<_>>());
+    let tight = hard(&(0..6).map(|at| ([6_000, 10_000, 14_000][at % 3], 2)).collect::<Vec<_>>());
     let outcome = |steps: u64| {
         let effort = Effort::of(steps);
         let outcome = plan(&tight, &effort).map_err(|failure| format!("{failure:?}"));
@@ -223,7 +223,7 @@ fn one_budget_of_steps_is_for_all() {
     assert_eq!(outcome(300_000_000), outcome(300_000_000));
     assert!(outcome(300_000_000).0.is_err_and(|failure| failure.starts_with("Impossible")));
     let (few, left) = outcome(1_000);
-    assert!(few.is_err_and(|failure| failure.starts_with("GaveUp")) && left == 0);
+    assert!(few.is_err_and(|failure| failure.starts_with("GaveUp")) && left < 1_000);
 }
 
 #[test]

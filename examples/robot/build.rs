@@ -5,7 +5,7 @@ use std::{env, fs};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo::rerun-if-changed=build.rs");
-    cosmic_plan::compile("cluster.toml");
+    cosmic_plan::Config::default().derive("defmt::Format").compile("cluster.toml");
     println!("cargo::rerun-if-changed=memory.x");
     let out = PathBuf::from(env::var("OUT_DIR")?);
     fs::copy("memory.x", out.join("memory.x"))?;

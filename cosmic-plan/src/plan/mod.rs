@@ -162,10 +162,15 @@ fn widened(cluster: &Cluster, layout: &Layout, mut best: Plan, least: f64) -> Pl
                 left > 0
             })
         });
-        let found = placed
+        // On full 10 µs or 1 µs if that keeps the gap: people read these numbers.
+        let rounded =
+            |unit: i64| placed.iter().map(move |at| at.iter().map(|x| x / unit * unit).collect::<Vec<_>>());
+        let candidates = [10_000, 1_000, 1].into_iter().flat_map(rounded);
+        let found = candidates
             .filter(|positions| layout.request.accepts(positions))
-            .map(|positions| layout.plan(cluster, &positions, method));
-        match found.filter(|plan| plan.narrowest_gap() > gap && strain(cluster, plan) <= least) {
+            .map(|positions| layout.plan(cluster, &positions, method))
+            .find(|plan| plan.narrowest_gap() > gap && strain(cluster, plan) <= least);
+        match found {
             Some(plan) => (gap, best) = (plan.narrowest_gap(), plan),
             None => too_wide = wish,
         }

@@ -1,4 +1,4 @@
-//! What the nodes of the robot share: the plan, the contents of its channels, and how a node is brought up.
+//! What the nodes of the robot share: the plan with its channels and their contents, and how a node is brought up.
 #![no_std]
 
 pub use boards::Stm32F405;
@@ -11,6 +11,7 @@ pub use cosmic_rtic::prelude::*;
 use cosmic_rtic::{Observer, Observes};
 
 use plan::channels;
+pub use plan::contents::{JointAngle, MotorHeat, SetPoint};
 use watch::Watcher;
 
 mod watch;
@@ -74,36 +75,9 @@ pub const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
 /// Why a channel can be announced and subscribed to.
 pub const PLANNED: &str = "the plan has the channel";
 
-cosmic_core::content! {
-    /// Where the joint is, in thousandths of a degree.
-    #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
-    pub struct JointAngle {
-        pub millidegrees: i32,
-    }
-}
-
-cosmic_core::content! {
-    /// Where the joint is to go.
-    #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
-    pub struct SetPoint {
-        /// In thousandths of a degree.
-        pub millidegrees: i32,
-        /// In hundredths of a degree per second.
-        pub speed: i16,
-    }
-}
-
-cosmic_core::content! {
-    /// How hot the motor is, in hundredths of a degree Celsius.
-    #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
-    pub struct MotorHeat {
-        pub centidegrees: i16,
-    }
-}
-
-pub const JOINT_ANGLE: Channel<JointAngle> = channels::joint_angle::channel();
-pub const SET_POINT: Channel<SetPoint> = channels::set_point::channel();
-pub const MOTOR_HEAT: Channel<MotorHeat> = channels::motor_heat::channel();
+pub const JOINT_ANGLE: Channel<JointAngle> = channels::joint_angle::CHANNEL;
+pub const SET_POINT: Channel<SetPoint> = channels::set_point::CHANNEL;
+pub const MOTOR_HEAT: Channel<MotorHeat> = channels::motor_heat::CHANNEL;
 
 /// A line of the diary, longer than a frame.
 pub const DIARY: channels::diary::MessageChannel<Bytes<40>> = channels::diary::channel();

@@ -11,7 +11,7 @@ pub(super) fn draw(plan: &Plan, assessment: &Assessment, top: f64) -> (Group, f6
     let shares = &assessment.utilisation;
     let others = shares.total() - shares.hard;
     let heading = format!(
-        "Load over the cycle: hard real-time frames {:.1} %, reserved {:.1} %, all others {:.1} % on average",
+        "Load over the cycle: hard real-time frames {:.1} %, reserved {:.1} %, all others {:.1} % on average (dashed)",
         shares.hard * 100.0,
         shares.reserved * 100.0,
         others * 100.0

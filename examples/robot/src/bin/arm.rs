@@ -38,12 +38,12 @@ mod app {
 /// An angle for each slot of the calendar, measured shortly before it. In place of a sensor: a degree forth in a second.
 async fn joint(mut node: impl Mutex<T = Node<Robot>>) {
     let mut steps = 0..;
-    let angle = |_: &mut _| JointAngle { millidegrees: 5 * steps.next().unwrap_or_default() };
+    let angle = |_: &mut _| JointAngle { angle: 5 * steps.next().unwrap_or_default() };
     publish_in_slots(&JOINT_ANGLE, &joint_angle::SLOT, LEAD, &mut node, angle).await.expect(PLANNED);
 }
 
 async fn motor(mut node: impl Mutex<T = Node<Robot>>) {
-    let heat = |_: &mut _| MotorHeat { centidegrees: 4_150 };
+    let heat = |_: &mut _| MotorHeat { temperature: 4_150 };
     publish_every(&MOTOR_HEAT, motor_heat::PERIOD, &mut node, heat).await.expect(PLANNED);
 }
 

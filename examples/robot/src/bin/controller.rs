@@ -40,7 +40,7 @@ async fn steer(mut node: impl Mutex<T = Node<Robot>>) {
     let mut angle = angles.next(&mut node).await.content;
     let answer = |node: &mut _| {
         angle = angles.try_next(node).map_or(angle, |event| event.content);
-        SetPoint { millidegrees: angle.millidegrees + 1_000, speed: 100 }
+        SetPoint { angle: angle.angle + 1_000, speed: 100 }
     };
     publish_in_slots(&SET_POINT, &set_point::SLOT, LEAD, &mut node, answer).await.expect(PLANNED);
 }
@@ -50,9 +50,9 @@ async fn watch(mut node: impl Mutex<T = Node<Robot>>) {
     let heat = Subscriber::subscribe(&MOTOR_HEAT, QUEUE, &mut node).expect(PLANNED);
     let mut diary = MessagePublisher::announce(&DIARY, &mut node).expect(PLANNED);
     for count in 1_u32.. {
-        let MotorHeat { centidegrees } = heat.next(&mut node).await.content;
+        let MotorHeat { temperature } = heat.next(&mut node).await.content;
         if count.is_multiple_of(50) {
-            let entry = Bytes::text(format_args!("motor at {centidegrees} after {count} events"));
+            let entry = Bytes::text(format_args!("motor at {temperature} after {count} events"));
             let sent = diary.publish(&entry.unwrap_or(Bytes::EMPTY), &mut node).await;
             sent.unwrap_or_else(|error| defmt::warn!("the diary was not sent: {}", error));
         }
