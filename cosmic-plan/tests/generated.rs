@@ -74,7 +74,9 @@ pub const SPEED: Channel<u64> = vehicle::channels::wheel_speed::channel();
 /// Its etag comes from the broker.
 pub const HEAT: Channel<i16> = brokered::channels::temperature::channel();
 /// Shorter ones do.
-pub const ANGLE: Channel<u32> = first::channels::joint_angle::channel();
+pub const ANGLE: Channel<u16> = pooled::channels::joint_angle::channel();
+/// What is described needs no type of one's own.
+pub const DESCRIBED: Channel<first::contents::JointAngle> = first::channels::joint_angle::CHANNEL;
 const _: () = {
     assert!(stepped::CALENDAR.priority_step().as_ticks() == 1_000_000);
     assert!(stepped::CALENDAR.digest() == vehicle::CALENDAR.digest());

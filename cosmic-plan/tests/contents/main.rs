@@ -3,6 +3,7 @@
 mod exported;
 mod generated_rust;
 mod tools;
+mod wireshark;
 mod zoo;
 
 use cosmic_core::can::Etag;

@@ -1,6 +1,7 @@
 //! The complete search: finds positions whenever there are any, or proves that there are none.
 
 mod difference;
+mod literal;
 mod restart;
 mod search;
 

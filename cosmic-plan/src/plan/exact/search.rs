@@ -8,6 +8,7 @@
 //! that there are none: no granularity of time is assumed, and nothing is left out.
 
 use super::difference::{Differences, Mark};
+use super::literal::Literal;
 use super::restart::luby;
 
 /// `x_i - x_j` avoids `(low, up) + n · modulus` for every `n`.
@@ -18,28 +19,6 @@ pub(super) struct Separation {
     pub(super) modulus: i64,
     pub(super) low: i64,
     pub(super) up: i64,
-}
-
-/// A truth value or its negation: twice its number, plus one if negated.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-struct Literal(u32);
-
-impl Literal {
-    fn new(variable: usize, truth: bool) -> Self {
-        Self((variable as u32) << 1 | u32::from(!truth))
-    }
-    fn variable(self) -> usize {
-        (self.0 >> 1) as usize
-    }
-    fn truth(self) -> bool {
-        self.0 & 1 == 0
-    }
-    fn negated(self) -> Self {
-        Self(self.0 ^ 1)
-    }
-    fn index(self) -> usize {
-        self.0 as usize
-    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -405,7 +384,7 @@ impl Search {
 
     /// The learned clause, the literal that it asserts first, one of the level to go back to second.
     fn analyse(&mut self, conflict: &[Literal], newest: u32) -> (Vec<Literal>, u32) {
-        let mut clause = vec![Literal(0)];
+        let mut clause = vec![Literal::FIRST];
         let mut open = 0;
         let mut at = self.trail.len();
         let mut pending: Vec<Literal> = conflict.to_vec();
