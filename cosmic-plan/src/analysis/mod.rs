@@ -11,8 +11,8 @@ pub mod calendar_load;
 pub mod errors;
 pub mod fixed;
 pub mod frame;
-pub mod reserved;
 mod hard;
+pub mod reserved;
 pub mod segment;
 pub mod sensitivity;
 #[cfg(feature = "cli")]

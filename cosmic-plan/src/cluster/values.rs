@@ -160,7 +160,7 @@ impl FromNode for ChannelSubject {
     fn from_node(node: &Node) -> Result<Self, Mismatch> {
         let subject = Uid::from_node(node)?.0;
         if Subject::new(subject) == Some(Subject::RESERVED) {
-            let what = format!("{subject:#x} is kept for the protocol");
+            let what = format!("{subject:#x} is reserved for brokers");
             return Err(Mismatch::new(what, "choose another subject"));
         }
         Ok(Self(subject))
