@@ -2,8 +2,8 @@
 //!
 //! | class | bound | why |
 //! |---|---|---|
-//! | HRT, periodic | from the start of each period to delivery | [`hard`](super::hard) |
-//! | HRT, sporadic | from publication to delivery | [`hard`](super::hard) |
+//! | HRT, periodic | from the start of each period to delivery | `hard` |
+//! | HRT, sporadic | from publication to delivery | `hard` |
 //! | SRT | from publication until sent | [`soft`](super::soft) |
 //! | NRT | from publication until the last frame has been sent | below |
 //! | foreign | from its nominal instant until sent | the sufficient test of [`fixed`](super::fixed) |

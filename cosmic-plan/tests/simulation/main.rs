@@ -316,7 +316,7 @@ fn a_pool_is_in_time_under_its_shared_budget_of_faults() {
                 }
             })
             .collect();
-        let begin = ready - rng.random_range(0..400_000);
+        let begin = ready.saturating_sub(rng.random_range(0..400_000));
         sources.push(Source {
             node: members.len(),
             mailbox: 2,
