@@ -130,7 +130,8 @@ pub(crate) fn rover_log() -> String {
 pub(crate) fn late_log() -> String {
     use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
     let mut bed = Bed::rover().power_on();
-    bed.run(800);
+    // Now an event of `attitude` has just been published, and waits until it is as urgent as the burst.
+    bed.run(808);
     let id = Id::new(Priority::SOFT_MOST_URGENT, TxNode::new(0x70).unwrap(), Etag::new(0x2000).unwrap());
     for tenth in 0..16_000 {
         // Twelve milliseconds of every half second.
