@@ -3,6 +3,7 @@
 use super::values::{DecimalNumber, Name, OrderName};
 use crate::contents::{ByteOrder, Decimal, FieldLayout, FieldType, Label, Layout, Scaling, camel_case};
 use crate::document::{At, FromNode, Kind, Log, Place, Problem, Table};
+use cosmic_core::network::fragments::MAX_MESSAGE_LEN;
 #[cfg(feature = "cli")]
 use schemars::JsonSchema;
 #[cfg(feature = "cli")]
@@ -112,14 +113,14 @@ fn whole_number(text: &str, base: u32) -> Option<i128> {
     i128::from_str_radix(&digits, base).ok()
 }
 
-pub(super) fn read(table: &Table<'_>, log: &Log) -> ContentTable {
+pub(super) fn read(table: &Table<'_>) -> ContentTable {
     let content = ContentTable {
         name: table.required("name", "give the content a name: name = \"wheel_speed\""),
         doc: table.optional("doc"),
         version: table.optional("version"),
         byte_order: table.optional("byte_order"),
         length: table.optional("length"),
-        field: super::format::read_all(table, "field", log, read_field),
+        field: table.entries("field", read_field),
         place: table.place(),
     };
     if content.field.is_empty() && !table.stands("field") {
@@ -135,7 +136,7 @@ pub(super) fn read(table: &Table<'_>, log: &Log) -> ContentTable {
     content
 }
 
-fn read_field(table: &Table<'_>, _: &Log) -> FieldTable {
+fn read_field(table: &Table<'_>) -> FieldTable {
     let field = FieldTable {
         name: table.required("name", "give the field a name: name = \"speed\""),
         doc: table.optional("doc"),
@@ -204,26 +205,27 @@ impl Contents<'_> {
         let name = name_of(&table.name);
         if let Some(at) = &table.length {
             let stated = usize::from(at.value);
-            if stated < needed && stated <= LONGEST {
+            if stated < needed && stated <= MAX_MESSAGE_LEN {
                 let help = format!("leave it out, or write at least {needed}");
                 let what = format!("the fields take {needed} bytes");
                 self.problem(&at.place, format!("content.{name}.length"), what, help);
             }
-            if stated > LONGEST {
+            if stated > MAX_MESSAGE_LEN {
                 let what = format!("{stated} bytes are too many");
                 self.problem(
                     &at.place,
                     format!("content.{name}.length"),
                     what,
-                    format!("write at most {LONGEST}"),
+                    format!("write at most {MAX_MESSAGE_LEN}"),
                 );
             }
             return stated.max(needed);
         }
-        if needed > LONGEST {
+        if needed > MAX_MESSAGE_LEN {
             let what = format!("the fields take {needed} bytes");
-            let help =
-                format!("an event has at most {LONGEST} bytes: leave fields out, or split the content");
+            let help = format!(
+                "an event has at most {MAX_MESSAGE_LEN} bytes: leave fields out, or split the content"
+            );
             self.problem(&start_of(&table.place), format!("content.{name}"), what, help);
         }
         needed
@@ -474,6 +476,3 @@ fn start_of(place: &Place) -> Place {
 }
 
 const TYPES: &str = "write type = \"u16\", or another of u1 to u64, i2 to i64, bool, bit, f32, f64";
-
-/// Bytes of the longest event.
-const LONGEST: usize = super::validate::LONGEST_EVENT as usize;

@@ -264,12 +264,12 @@ pub fn read(source: &Source, log: &Log) -> ClusterFile {
             Some(node) => read_segment(&Table::new(node, "segment", log)),
             None => read_segment(&Table::new(&empty, "segment", &quiet)),
         },
-        errors: table.node("errors").map(|node| read_errors(&Table::new(node, "errors", log))),
-        node: read_all(&table, "node", log, read_node),
-        channel: read_all(&table, "channel", log, read_channel),
-        content: read_all(&table, "content", log, contents::read),
-        foreign: read_all(&table, "foreign", log, read_foreign),
-        pool: read_all(&table, "pool", log, read_pool),
+        errors: table.entry("errors", read_errors),
+        node: table.entries("node", read_node),
+        channel: table.entries("channel", read_channel),
+        content: table.entries("content", contents::read),
+        foreign: table.entries("foreign", read_foreign),
+        pool: table.entries("pool", read_pool),
     };
     for (field, count) in [("node", file.node.len()), ("channel", file.channel.len())] {
         if count == 0 && !table.malformed().contains(&field) {
@@ -279,25 +279,6 @@ pub fn read(source: &Source, log: &Log) -> ClusterFile {
     }
     table.finish();
     file
-}
-
-pub(super) fn read_all<T>(
-    table: &Table<'_>,
-    field: &'static str,
-    log: &Log,
-    read: fn(&Table<'_>, &Log) -> T,
-) -> Vec<T> {
-    let outer = table;
-    let items = table.nodes(field).unwrap_or_default();
-    let read_one = |(at, item): (usize, &Node)| {
-        let mut table = Table::new(item, table.path_of(&format!("{field}[{at}]")), log);
-        // From its second field on an entry is known by its name, if it has one.
-        if let Some(Node { kind: crate::document::Kind::Text(name), .. }) = table.node("name") {
-            table.rename(outer.path_of(&format!("{field}.{name}")));
-        }
-        read(&table, log)
-    };
-    items.iter().enumerate().map(read_one).collect()
 }
 
 fn read_segment(table: &Table<'_>) -> SegmentTable {
@@ -331,7 +312,7 @@ fn read_errors(table: &Table<'_>) -> ErrorsTable {
     errors
 }
 
-fn read_node(table: &Table<'_>, _: &Log) -> NodeTable {
+fn read_node(table: &Table<'_>) -> NodeTable {
     let help = "leave it out: the program of the node says in its Cargo.toml which board it is for";
     table.refuse("board", "has no effect on the plan", help);
     let node = NodeTable {
@@ -347,7 +328,7 @@ fn read_node(table: &Table<'_>, _: &Log) -> NodeTable {
     node
 }
 
-fn read_channel(table: &Table<'_>, log: &Log) -> ChannelTable {
+fn read_channel(table: &Table<'_>) -> ChannelTable {
     let channel = ChannelTable {
         name: table.required("name", "give the channel a name: name = \"wheel_speed\""),
         subject: table.required("subject", "give the channel a subject: subject = \"0x1122334455667788\""),
@@ -363,7 +344,7 @@ fn read_channel(table: &Table<'_>, log: &Log) -> ChannelTable {
         omission_degree: table.optional("omission_degree"),
         phase: table.optional("phase"),
         earliest: table.optional("earliest"),
-        after: table.node("after").map(|node| read_after(&Table::new(node, table.path_of("after"), log))),
+        after: table.entry("after", read_after),
         importance: table.optional("importance"),
         etag: table.optional("etag"),
         place: table.place(),
@@ -382,7 +363,7 @@ fn read_after(table: &Table<'_>) -> AfterTable {
     after
 }
 
-fn read_foreign(table: &Table<'_>, _: &Log) -> ForeignTable {
+fn read_foreign(table: &Table<'_>) -> ForeignTable {
     let foreign = ForeignTable {
         name: table.optional("name"),
         id: table.optional("id"),
@@ -399,7 +380,7 @@ fn read_foreign(table: &Table<'_>, _: &Log) -> ForeignTable {
     foreign
 }
 
-fn read_pool(table: &Table<'_>, _: &Log) -> PoolTable {
+fn read_pool(table: &Table<'_>) -> PoolTable {
     let pool = PoolTable {
         channels: table.list("channels"),
         faults: table.required("faults", "write how many faults the slots together tolerate: faults = 1"),

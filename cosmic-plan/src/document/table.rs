@@ -212,6 +212,25 @@ impl<'a> Table<'a> {
         }
     }
 
+    /// Reads the table in the field, with `read`.
+    pub fn entry<T>(&self, field: &'static str, read: fn(&Table<'_>) -> T) -> Option<T> {
+        self.node(field).map(|node| read(&Table::new(node, self.path_of(field), self.log)))
+    }
+
+    /// Reads each of the tables in the field, with `read`.
+    pub fn entries<T>(&self, field: &'static str, read: fn(&Table<'_>) -> T) -> Vec<T> {
+        let items = self.nodes(field).unwrap_or_default();
+        let read_one = |(at, item): (usize, &Node)| {
+            let mut table = Table::new(item, self.path_of(&format!("{field}[{at}]")), self.log);
+            // From its second field on an entry is known by its name, if it has one.
+            if let Some(Node { kind: Kind::Text(name), .. }) = table.node("name") {
+                table.rename(self.path_of(&format!("{field}.{name}")));
+            }
+            read(&table)
+        };
+        items.iter().enumerate().map(read_one).collect()
+    }
+
     fn convert<T: FromNode>(&self, field: &'static str, node: &Node) -> Option<At<T>> {
         match T::from_node(node) {
             Ok(value) => Some(At { value, place: node.place.clone() }),

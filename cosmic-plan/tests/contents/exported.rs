@@ -3,7 +3,8 @@
 use crate::tools::{Program, find, run};
 use crate::zoo::{compare, events, folder, grown_zoo, hex, read, vectors, zoo};
 use cosmic_core::can::{Id, Priority};
-use cosmic_plan::contents::{Contents, FieldLayout, FieldType, Layout, Value};
+use cosmic_plan::cluster::Cluster;
+use cosmic_plan::contents::{FieldLayout, FieldType, Layout, Value};
 use cosmic_plan::output::{c, dbc, html, python};
 use cosmic_plan::plan::{Effort, plan};
 use std::fmt::Write as _;
@@ -18,16 +19,16 @@ pub(crate) fn file(folder: &Path, name: &str, content: impl AsRef<[u8]>) {
 fn c_does_what_the_host_does() {
     let Some(compiler) = find(&Program::C) else { return };
     let folder = folder("c");
-    let contents = read(&grown_zoo(30));
-    let (questions, answers) = vectors(&contents, 20, |_| true);
-    file(&folder, "zoo.h", c::render(contents.cluster(), "zoo.toml"));
+    let cluster = read(&grown_zoo(30));
+    let (questions, answers) = vectors(&cluster, 20, |_| true);
+    file(&folder, "zoo.h", c::render(&cluster, "zoo.toml"));
     file(&folder, "input", questions);
     let mut program = String::from(
         "#include \"zoo.h\"\n#include <inttypes.h>\n#include <stdio.h>\n#include <stdlib.h>\n#include <string.h>\n\
          static void data(const uint8_t *bytes, unsigned length) {\n    \
          for (unsigned n = 0; n < length; n++) printf(\"%02x\", bytes[n]);\n}\n",
     );
-    for layout in &contents.cluster().contents {
+    for layout in &cluster.contents {
         let name = &layout.name;
         write!(
             program,
@@ -45,7 +46,7 @@ fn c_does_what_the_host_does() {
                 char *hex = strchr(text, ' ');\n        memcpy(name, text, (size_t)(hex - text)); name[hex - text] = 0;\n        \
                 for (hex++; hex[0] && hex[1]; hex += 2) { char byte[3] = { hex[0], hex[1], 0 }; \
                 bytes[length++] = (uint8_t)strtoul(byte, NULL, 16); }\n        printf(\"%s \", text);\n        bool well = false;\n";
-    for layout in &contents.cluster().contents {
+    for layout in &cluster.contents {
         writeln!(
             program,
             "        if (!strcmp(name, \"{0}\")) well = answer_{0}(bytes, length);",
@@ -138,16 +139,16 @@ for line in sys.stdin:
 fn python_does_what_the_host_does() {
     let Some(interpreter) = find(&Program::Python) else { return };
     let folder = folder("python");
-    let contents = read(&grown_zoo(30));
+    let cluster = read(&grown_zoo(30));
     // A float that is none changes its bits on the way through Python on some machines.
-    let (questions, answers) = vectors(&contents, 20, |_| true);
-    let is_number = |line: &&str| !holds_none(&contents, line);
+    let (questions, answers) = vectors(&cluster, 20, |_| true);
+    let is_number = |line: &&str| !holds_none(&cluster, line);
     let questions: Vec<&str> = questions.lines().filter(is_number).collect();
     let answers: Vec<&str> = answers.lines().filter(is_number).collect();
-    file(&folder, "zoo.py", python::render(contents.cluster(), "zoo.toml"));
+    file(&folder, "zoo.py", python::render(&cluster, "zoo.toml"));
     file(&folder, "input", questions.join("\n"));
     let mut tables = String::from("TYPES, KINDS = {}, {}\n");
-    for layout in &contents.cluster().contents {
+    for layout in &cluster.contents {
         writeln!(
             tables,
             "TYPES['{}'] = zoo.{}\nKINDS['{}'] = {{}}",
@@ -184,14 +185,9 @@ fn python_does_what_the_host_does() {
 }
 
 /// Returns whether a line of questions or answers has a float that is no number.
-fn holds_none(contents: &Contents, line: &str) -> bool {
+fn holds_none(cluster: &Cluster, line: &str) -> bool {
     let mut words = line.split(' ');
-    let layout = contents
-        .cluster()
-        .contents
-        .iter()
-        .find(|layout| Some(&*layout.name) == words.clone().next())
-        .unwrap();
+    let layout = cluster.contents.iter().find(|layout| Some(&*layout.name) == words.clone().next()).unwrap();
     let bytes = bytes_of(words.nth(1).unwrap_or(""));
     layout.decode(&bytes).is_ok_and(|fields| {
         fields.iter().any(|field| match field.value {
@@ -212,8 +208,8 @@ fn python_prints_events_and_refuses_what_does_not_fit() {
     let folder = folder("session");
     let text = include_str!("../../examples/rover.toml");
     let brokered = text.replace("[segment]", "[segment]\nbinding = \"broker\"");
-    file(&folder, "rover.py", python::render(read(text).cluster(), "rover.toml"));
-    file(&folder, "brokered.py", python::render(read(&brokered).cluster(), "rover.toml"));
+    file(&folder, "rover.py", python::render(&read(text), "rover.toml"));
+    file(&folder, "brokered.py", python::render(&read(&brokered), "rover.toml"));
     let session = "
 import rover, brokered
 # The battery: priority 252, node 6.
@@ -284,22 +280,21 @@ for line in sys.stdin:
 fn cantools_decodes_every_frame() {
     let Some(interpreter) = find(&Program::Cantools) else { return };
     let folder = folder("dbc");
-    let contents = read(include_str!("../../examples/rover.toml"));
-    let cluster = contents.cluster();
-    file(&folder, "rover.dbc", dbc::encode(&dbc::render(cluster, dbc::Identifiers::One)));
-    file(&folder, "rover_every.dbc", dbc::encode(&dbc::render(cluster, dbc::Identifiers::Every)));
-    file(&folder, "rover.py", python::render(cluster, "rover.toml"));
+    let cluster = read(include_str!("../../examples/rover.toml"));
+    file(&folder, "rover.dbc", dbc::encode(&dbc::render(&cluster, dbc::Identifiers::One)));
+    file(&folder, "rover_every.dbc", dbc::encode(&dbc::render(&cluster, dbc::Identifiers::Every)));
+    file(&folder, "rover.py", python::render(&cluster, "rover.toml"));
     file(&folder, "main.py", CANTOOLS);
     let mut input = String::new();
-    for (at, described) in contents.channels().enumerate() {
-        let Some(layout) = described.layout.filter(|layout| layout.len <= 8) else { continue };
+    for (at, channel) in cluster.channels.iter().enumerate() {
+        let Some(layout) = cluster.layout_of(channel).filter(|layout| layout.len <= 8) else { continue };
         for node in cluster.publishers(at) {
-            for priority in priorities(&contents, at) {
+            for priority in priorities(&cluster, at) {
                 for event in events(layout, 3).iter().filter(|event| layout.decode(event).is_ok()) {
-                    if holds_none(&contents, &format!("{} {}", layout.name, hex(event))) {
+                    if holds_none(&cluster, &format!("{} {}", layout.name, hex(event))) {
                         continue;
                     }
-                    let id = Id::new(priority, node.tx_node, described.channel.etag.unwrap());
+                    let id = Id::new(priority, node.tx_node, channel.etag.unwrap());
                     writeln!(input, "{:x} {} x", id.raw(), hex(event)).unwrap();
                 }
             }
@@ -315,9 +310,8 @@ fn cantools_decodes_every_frame() {
 
 /// All priorities that frames of a channel may have on the bus: computed as the middleware does, at all instants from
 /// publication to the deadline and beyond.
-fn priorities(contents: &Contents, channel: usize) -> Vec<Priority> {
+fn priorities(cluster: &Cluster, channel: usize) -> Vec<Priority> {
     use cosmic_plan::cluster::Class;
-    let cluster = contents.cluster();
     match &cluster.channels[channel].class {
         Class::Hard { .. } => vec![Priority::HARD],
         Class::NonRealTime { importance } => vec![Class::priority_of(*importance)],
@@ -338,15 +332,15 @@ fn cantools_reads_the_bits_that_the_host_reads() {
     let Some(interpreter) = find(&Program::Cantools) else { return };
     let folder = folder("dbc-bits");
     let text = grown_zoo(30);
-    let contents = read(&text);
+    let cluster = read(&text);
     let short = |layout: &Layout| layout.len <= 8;
-    file(&folder, "zoo.dbc", dbc::encode(&dbc::render(contents.cluster(), dbc::Identifiers::One)));
+    file(&folder, "zoo.dbc", dbc::encode(&dbc::render(&cluster, dbc::Identifiers::One)));
     let mut input = String::new();
-    for described in contents.channels() {
-        let Some(layout) = described.layout.filter(|layout| short(layout)) else { continue };
+    for channel in &cluster.channels {
+        let Some(layout) = cluster.layout_of(channel).filter(|layout| short(layout)) else { continue };
         for event in events(layout, 20) {
             let Ok(fields) = layout.decode(&event) else { continue };
-            write!(input, "{} {}", described.channel.name, hex(&event)).unwrap();
+            write!(input, "{} {}", channel.name, hex(&event)).unwrap();
             for field in fields {
                 let values = match field.value {
                     Value::List(values) => values
@@ -399,11 +393,10 @@ for line in sys.stdin:
 #[test]
 fn a_page_shows_the_whole_cluster() {
     for text in [zoo(), include_str!("../../examples/rover.toml").to_owned()] {
-        let contents = read(&text);
-        let cluster = contents.cluster();
-        let plan = plan(cluster, &Effort::default()).expect("it fits");
-        let assessment = cosmic_plan::analysis::segment::assess(cluster, &plan);
-        let page = html::render(cluster, &plan, &assessment, "zoo.toml");
+        let cluster = read(&text);
+        let plan = plan(&cluster, &Effort::default()).expect("it fits");
+        let assessment = cosmic_plan::analysis::segment::assess(&cluster, &plan);
+        let page = html::render(&cluster, &plan, &assessment, "zoo.toml");
         assert!(page.contains("</svg>") && page.ends_with("</html>\n"));
         // Nothing is loaded from elsewhere.
         assert!(!page.contains("src=") && !page.contains("href=\"http"));

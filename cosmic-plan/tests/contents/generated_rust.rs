@@ -102,13 +102,13 @@ fn number(field: &FieldLayout) -> String {
 #[test]
 fn types_do_what_the_host_does() {
     let text = grown_zoo(30);
-    let contents = read(&text);
-    let (questions, answers) = vectors(&contents, 20, |_| true);
+    let cluster = read(&text);
+    let (questions, answers) = vectors(&cluster, 20, |_| true);
     assert!(answers.lines().filter(|line| line.ends_with("malformed")).count() > 100);
     let text = text.replace("\nclass = 'NRT'", "\nclass = \"NRT\"");
     // `f32` has no hash.
     let plan = rendered(&text).replace(", Hash)]", ")]");
-    let output = run("zoo", &plan, &program(&contents.cluster().contents), &questions);
+    let output = run("zoo", &plan, &program(&cluster.contents), &questions);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     compare(&String::from_utf8_lossy(&output.stdout), &answers);
 }

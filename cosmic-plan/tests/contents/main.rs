@@ -8,17 +8,18 @@ mod zoo;
 
 use cosmic_core::can::Etag;
 use cosmic_core::event_layer::{Content, layout_of};
+use cosmic_plan::cluster::Cluster;
 use cosmic_plan::contents::{NotDecoded, NotEncoded, Value};
 use cosmic_plan::document::Source;
 use proptest::prelude::*;
-use zoo::{Dice, answer, events, read, zoo};
+use zoo::{Dice, answer, events, layout, read, zoo};
 
 const ROVER: &str = include_str!("../../examples/rover.toml");
 
 #[test]
 fn fields_have_names_values_and_units() {
-    let contents = read(&zoo());
-    let packed = contents.named("packed").unwrap().layout.unwrap();
+    let cluster = read(&zoo());
+    let packed = layout(&cluster, "packed");
     assert_eq!(packed.len, 6);
     // fast, ready, -90.0 degrees, 42 %, flags 1 and 4, the rest.
     let bytes = [0x5C, 0x7C, 0x68, 0x90, 0x00, 0x07];
@@ -46,8 +47,8 @@ fn fields_have_names_values_and_units() {
 
 #[test]
 fn little_endian_bits_stand_as_intel_has_them() {
-    let contents = read(&zoo());
-    let intel = contents.named("intel").unwrap().layout.unwrap();
+    let cluster = read(&zoo());
+    let intel = layout(&cluster, "intel");
     // The pressure 513 in bits 0 to 9, the trim -2 in 10 to 15; the torque -1; the gear -1; 0x1234.
     let bytes = [0x01, 0b1111_1010, 0xFF, 0xFF, 0xFF, 0x34, 0x12];
     let text: Vec<String> = intel.decode(&bytes).unwrap().iter().map(ToString::to_string).collect();
@@ -59,8 +60,8 @@ fn little_endian_bits_stand_as_intel_has_them() {
 
 #[test]
 fn what_the_description_does_not_allow_is_malformed() {
-    let contents = read(&zoo());
-    let of = |name: &str| contents.named(name).unwrap().layout.unwrap();
+    let cluster = read(&zoo());
+    let of = |name: &str| layout(&cluster, name);
     let refused = |name: &str, bytes: &[u8]| of(name).decode(bytes).unwrap_err().to_string();
     assert_eq!(of("plain").decode(&[0; 6]), Err(NotDecoded::Length { found: 6, expected: 7 }));
     assert_eq!(refused("plain", &[0, 0, 0, 0, 0, 0, 2]), "valid is 2, neither 0 nor 1");
@@ -76,8 +77,8 @@ fn what_the_description_does_not_allow_is_malformed() {
 
 #[test]
 fn values_that_do_not_fit_are_not_written() {
-    let contents = read(&zoo());
-    let of = |name: &str| contents.named(name).unwrap().layout.unwrap();
+    let cluster = read(&zoo());
+    let of = |name: &str| layout(&cluster, name);
     let refused = |name: &str, values: &[(&str, &str)]| of(name).encode_text(values).unwrap_err().to_string();
     let plain = [("count", "1"), ("speed", "-1"), ("valid", "true")];
     assert!(of("plain").encode_text(&plain).is_ok());
@@ -108,13 +109,15 @@ fn values_that_do_not_fit_are_not_written() {
 
 #[test]
 fn channels_are_found_by_name_subject_and_etag() {
-    let contents = read(ROVER);
-    let heat = contents.of_subject(0xB0A0_1C00_0000_0007).unwrap();
-    assert_eq!(heat.channel.name, "battery");
-    assert_eq!(contents.of_etag(heat.channel.etag.unwrap()).unwrap().channel.name, "battery");
-    assert!(contents.of_subject(1).is_none());
-    assert!(contents.of_etag(Etag::new(5_000).unwrap()).is_none());
-    assert_eq!(contents.channels().count(), 8);
+    let rover = read(ROVER);
+    let battery = rover.channel_named("battery").unwrap();
+    let of_subject = |subject| rover.channels.iter().position(|channel| channel.subject == subject);
+    let of_etag = |etag| rover.channels.iter().position(|channel| channel.etag == Some(etag));
+    assert_eq!(of_subject(0xB0A0_1C00_0000_0007), Some(battery));
+    assert_eq!(of_etag(rover.channels[battery].etag.unwrap()), Some(battery));
+    assert_eq!(of_subject(1), None);
+    assert_eq!(of_etag(Etag::new(5_000).unwrap()), None);
+    assert_eq!(rover.channels.len(), 8);
 }
 
 cosmic_core::content! {
@@ -129,14 +132,14 @@ cosmic_core::content! {
 
 #[test]
 fn layouts_of_types_alone_are_those_of_rust() {
-    let contents = read(&zoo());
-    let of = |name: &str| contents.named(name).unwrap().layout.unwrap();
+    let cluster = read(&zoo());
+    let of = |name: &str| layout(&cluster, name);
     assert_eq!(of("plain").layout_hash(), Plain::LAYOUT);
     assert_eq!(of("plain").wire_hash(), Plain::LAYOUT);
     assert_eq!(of("plain").len, Plain::LEN);
     // The wire of the rover's is what a program could declare; what it means is in the other hash.
     let rover = read(ROVER);
-    let wheel = rover.named("left_wheel").unwrap().layout.unwrap();
+    let wheel = layout(&rover, "left_wheel");
     assert_eq!(wheel.wire_hash(), layout_of(&["u32", "i16", "bool"]));
     assert_ne!(wheel.layout_hash(), wheel.wire_hash());
     for (a, b) in [
@@ -149,11 +152,7 @@ fn layouts_of_types_alone_are_those_of_rust() {
         let changed = ROVER.replacen(a, b, 1);
         assert_ne!(changed, ROVER);
         let changed = read(&changed);
-        assert_ne!(
-            changed.named("left_wheel").unwrap().layout.unwrap().layout_hash(),
-            wheel.layout_hash(),
-            "{b}"
-        );
+        assert_ne!(layout(&changed, "left_wheel").layout_hash(), wheel.layout_hash(), "{b}");
     }
 }
 
@@ -221,8 +220,7 @@ fn mistakes_in_contents_are_named_with_their_remedy() {
         ),
     ] {
         let text = with(&content);
-        let problems =
-            cosmic_plan::contents::Contents::read(&Source::new("a.toml", text.clone())).expect_err(&content);
+        let problems = Cluster::read(&Source::new("a.toml", text.clone())).expect_err(&content);
         let list = problems.list();
         assert_eq!(list.len(), 1, "{content}:\n{problems}");
         assert_eq!(list[0].field, path, "{problems}");
@@ -233,8 +231,7 @@ fn mistakes_in_contents_are_named_with_their_remedy() {
 #[test]
 fn a_soft_channel_has_at_most_eight_bytes() {
     let text = zoo().replace("class = \"SRT\"\ncontent = \"packed\"", "class = \"SRT\"\ncontent = \"long\"");
-    let problems =
-        cosmic_plan::contents::Contents::read(&Source::new("a.toml", text)).expect_err("it is too long");
+    let problems = Cluster::read(&Source::new("a.toml", text)).expect_err("it is too long");
     assert_eq!(problems.list()[0].field, "channel.packed.content");
 }
 
@@ -244,8 +241,8 @@ proptest! {
     #[test]
     fn round_trip(seed in 1_u64..) {
         let mut dice = Dice(seed);
-        let contents = read(&zoo::grown_zoo(12));
-        let layouts = &contents.cluster().contents;
+        let cluster = read(&zoo::grown_zoo(12));
+        let layouts = &cluster.contents;
         let layout = &layouts[dice.below(layouts.len() as u64) as usize];
         for event in events(layout, 4) {
             let Ok(fields) = layout.decode(&event) else { continue };

@@ -31,8 +31,8 @@ fn dissected(folder: &Path, tshark: &Path, frames: &[String], fields: &[&str]) -
 fn wireshark_names_every_control_message() {
     let Some(tshark) = find(&Program::Tshark) else { return };
     let folder = folder("control");
-    let contents = read(include_str!("../../examples/rover.toml"));
-    file(&folder, "segment.lua", lua::render(contents.cluster(), "rover.toml"));
+    let cluster = read(include_str!("../../examples/rover.toml"));
+    file(&folder, "segment.lua", lua::render(&cluster, "rover.toml"));
     // The frames of the manual, which a test of the core holds true.
     let manual = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/protocol.md");
     let manual = std::fs::read_to_string(manual).expect("it is there");
@@ -80,21 +80,21 @@ fn wireshark_names_every_control_message() {
 fn wireshark_shows_the_fields_that_the_host_reads() {
     let Some(tshark) = find(&Program::Tshark) else { return };
     let folder = folder("wireshark");
-    let contents = read(&grown_zoo(20));
-    file(&folder, "segment.lua", lua::render(contents.cluster(), "zoo.toml"));
+    let cluster = read(&grown_zoo(20));
+    file(&folder, "segment.lua", lua::render(&cluster, "zoo.toml"));
     let mut dice = Dice(7);
     let (mut frames, mut expected) = (Vec::new(), Vec::new());
-    for described in contents.channels() {
-        let Some(layout) = described.layout.filter(|layout| layout.len <= 8) else { continue };
+    for channel in &cluster.channels {
+        let Some(layout) = cluster.layout_of(channel).filter(|layout| layout.len <= 8) else { continue };
         for event in events(layout, 6) {
             if event.len() > 8 {
                 continue;
             }
             let id = (1 + dice.below(255)) << 21
                 | (1 + dice.below(126)) << 14
-                | u64::from(described.channel.etag.unwrap().get());
+                | u64::from(channel.etag.unwrap().get());
             frames.push(format!("{id:08X}#{}", hex(&event)));
-            expected.push((described.channel.name.as_str(), layout, event));
+            expected.push((channel.name.as_str(), layout, event));
         }
     }
     assert!(frames.len() > 100, "{}", frames.len());

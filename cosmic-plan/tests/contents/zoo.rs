@@ -1,6 +1,7 @@
 //! Contents to test with, and one set of vectors for all languages.
 
-use cosmic_plan::contents::{Contents, FieldLayout, FieldType, Layout, Value};
+use cosmic_plan::cluster::Cluster;
+use cosmic_plan::contents::{FieldLayout, FieldType, Layout, Value};
 use cosmic_plan::document::Source;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -17,8 +18,14 @@ pub(crate) fn zoo() -> String {
     include_str!("zoo.toml").to_owned()
 }
 
-pub(crate) fn read(text: &str) -> Contents {
-    Contents::read(&Source::new("zoo.toml", text)).unwrap_or_else(|problems| panic!("{problems}"))
+pub(crate) fn read(text: &str) -> Cluster {
+    Cluster::read(&Source::new("zoo.toml", text)).unwrap_or_else(|problems| panic!("{problems}"))
+}
+
+/// The layout of the channel of this name.
+pub(crate) fn layout<'a>(cluster: &'a Cluster, channel: &str) -> &'a Layout {
+    let channel = cluster.channel_named(channel).expect("there is such a channel");
+    cluster.layout_of(&cluster.channels[channel]).expect("its content is described")
 }
 
 /// Numbers that look random and are the same in every run.
@@ -153,9 +160,9 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
 }
 
 /// The questions, a line each (content and bytes), and the answers.
-pub(crate) fn vectors(contents: &Contents, count: u64, wanted: impl Fn(&Layout) -> bool) -> (String, String) {
+pub(crate) fn vectors(cluster: &Cluster, count: u64, wanted: impl Fn(&Layout) -> bool) -> (String, String) {
     let (mut questions, mut answers) = (String::new(), String::new());
-    for layout in contents.cluster().contents.iter().filter(|layout| wanted(layout)) {
+    for layout in cluster.contents.iter().filter(|layout| wanted(layout)) {
         for event in events(layout, count) {
             writeln!(questions, "{} {}", layout.name, hex(&event)).unwrap();
             writeln!(answers, "{} {} {}", layout.name, hex(&event), answer(layout, &event)).unwrap();
