@@ -2,14 +2,14 @@
 //! in a sealed one; who is told, and that a sealed node answers by no frame.
 
 use cosmic_core::calendar::{Calendar, Segment, Slot};
-use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Outcome, Payload, Priority, TxNode};
+use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Outcome, Payload, Priority, TxNode, TxNodes};
 use cosmic_core::event_half::receive;
 use cosmic_core::event_layer::{
     AnnounceError, Channel, ExceptionKind, Filter, HardAttributes, Policy, SoftAttributes, SubscribeError,
 };
 use cosmic_core::network::hard::HrtBuffers;
 use cosmic_core::protocol::*;
-use cosmic_core::seal::{Contradiction, Seal, SealedChannel, SealedNode, TxNodes};
+use cosmic_core::seal::{Contradiction, Seal, SealedChannel, SealedNode};
 use cosmic_core::services::{ClockService, NodeConfig, NodeServices, Services};
 use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};

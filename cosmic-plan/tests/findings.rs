@@ -1,7 +1,8 @@
 //! What descriptions are refused for, and how it is said: one mistake is one problem, with its place and remedy.
 
 use cosmic_plan::analysis::advice::advice;
-use cosmic_plan::analysis::segment::{Origin, Verdict, assess};
+use cosmic_plan::analysis::proof::{Origin, Verdict};
+use cosmic_plan::analysis::segment::assess;
 use cosmic_plan::analysis::set::MessageSet;
 use cosmic_plan::cluster::Cluster;
 use cosmic_plan::document::{Problems, Source};

@@ -112,7 +112,7 @@ const _: () = {
         assert!(plans[plan].1.contains(&format!("EventRate::{rate};")), "{channel}: {}", plans[plan].1);
     }
     let publishers =
-        "publishers: ::cosmic_core::seal::TxNodes::of(&[::cosmic_core::can::TxNode::new(3).unwrap()])";
+        "publishers: ::cosmic_core::can::TxNodes::of(&[::cosmic_core::can::TxNode::new(3).unwrap()])";
     assert_eq!(plans[7].1.matches(publishers).count(), 2, "suspension and logbook");
     check("plans", &plans, code).unwrap_or_else(|said| panic!("{said}"));
 }

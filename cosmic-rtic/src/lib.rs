@@ -33,6 +33,7 @@ extern crate std;
 
 pub mod application;
 pub mod board;
+mod departures;
 mod hard;
 mod inbox;
 pub mod messages;

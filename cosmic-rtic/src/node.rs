@@ -14,8 +14,8 @@ use cosmic_core::event_layer::{
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
 
 use crate::board::{Board, BusStatus as _, TxMailbox as _};
+use crate::departures::Departures;
 use crate::inbox::Item;
-use crate::messages::Departures;
 use crate::observer::{Observer as _, Observes};
 use crate::signal::Signal;
 use crate::system::{self, Half, System};

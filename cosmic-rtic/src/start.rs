@@ -6,9 +6,9 @@ use cosmic_core::plan::NodePlan;
 use cosmic_core::time::Duration;
 
 use crate::board::{Board, BoardParts};
+use crate::departures::Departures;
 use crate::hard::{Hard, HardCell};
 use crate::inbox::Queues;
-use crate::messages::Departures;
 use crate::node::Node;
 use crate::observer::Observer;
 use crate::system::{Buffers, StartError, System, Timed as _};

@@ -5,8 +5,8 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result, bail};
 
+use crate::cargo_test::cargo_test;
 use crate::run::{self, step};
-use crate::suite;
 use crate::tally::Tally;
 use crate::target;
 use crate::workspace::Workspace;
@@ -20,7 +20,7 @@ pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast"]).args(PACKAGES);
     command.args(["--", "--include-ignored"]).env("COSMIC_PYTHON", python);
-    step("testing what runs on Linux", || suite::cargo_test(&mut command))
+    step("testing what runs on Linux", || cargo_test(&mut command))
 }
 
 /// Clippy and documentation.

@@ -7,6 +7,7 @@ mod apt;
 mod bench;
 mod bit_rates;
 mod build;
+mod cargo_test;
 mod ci;
 mod demo;
 mod experiment;

@@ -9,6 +9,7 @@ use clap::{Args, ValueEnum};
 
 use crate::apps;
 use crate::bit_rates;
+use crate::cargo_test::cargo_test;
 use crate::demo;
 use crate::fuzz;
 use crate::guide;
@@ -215,49 +216,12 @@ fn said(line: &str) -> Option<&str> {
     (at.trim().parse::<u64>().is_ok() && text.contains(": INFO ")).then_some(text)
 }
 
-/// Runs `cargo test` and counts its results.
-pub(crate) fn cargo_test(command: &mut std::process::Command) -> Result<Tally> {
-    let mut tally = Tally::default();
-    let status = run::lines(command, |line| {
-        println!("{line}");
-        if let Some((passed, failed)) = result_line(line) {
-            tally.passed += passed;
-            tally.failed += failed;
-        }
-    })?;
-    // Tests that do not compile, or end by a signal, print no result.
-    if !status.success() && tally.failed == 0 {
-        tally.failed = 1;
-    }
-    Ok(tally)
-}
-
-/// The counts of a line such as `test result: ok. 7 passed; 0 failed; 0 ignored; ...`.
-fn result_line(line: &str) -> Option<(usize, usize)> {
-    let (_, counts) = line.strip_prefix("test result: ")?.split_once(". ")?;
-    let mut counts = counts.split("; ");
-    let passed = counts.next()?.strip_suffix(" passed")?.parse().ok()?;
-    let failed = counts.next()?.strip_suffix(" failed")?.parse().ok()?;
-    Some((passed, failed))
-}
-
 /// Tells the tests of the emulated cluster where the images are.
 const IMAGES: &str = "COSMIC_IMAGES";
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::process::Command;
-
-    #[test]
-    fn results_of_cargo_are_counted() {
-        let good = "test result: ok. 7 passed; 0 failed; 0 ignored; 0 measured; 0 filtered out";
-        assert_eq!(result_line(good), Some((7, 0)));
-        let bad = "test result: FAILED. 1 passed; 2 failed; 0 ignored; 0 measured";
-        assert_eq!(result_line(bad), Some((1, 2)));
-        assert_eq!(result_line("running 7 tests"), None);
-        assert_eq!(result_line("test result: strange"), None);
-    }
 
     #[test]
     fn what_a_node_says_is_its_log_line_without_the_instant() {
@@ -265,13 +229,5 @@ mod tests {
         assert_eq!(said(line), Some("arm: INFO 100 set points"));
         assert_eq!(said("joint_angle  954 µs  arm: INFO"), None);
         assert_eq!(said("period 5 ms down to 220 µs"), None);
-    }
-
-    #[test]
-    fn a_failure_without_a_result_counts() {
-        let mut command = Command::new("sh");
-        command.args(["-c", "echo 'test result: ok. 3 passed; 0 failed; 0 ignored'; exit 101"]);
-        let tally = cargo_test(&mut command).unwrap();
-        assert_eq!(tally, Tally { passed: 3, failed: 1 });
     }
 }

@@ -4,9 +4,9 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result};
 
+use crate::cargo_test::cargo_test;
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
-use crate::suite;
 use crate::tally::Tally;
 use crate::workspace::Workspace;
 
@@ -16,7 +16,7 @@ pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
     prepare(workspace)?;
     let mut command = workspace.cargo();
     command.args(["test", "--package", "cosmic-plan", "--test", "contents"]).env(INSIST, "1");
-    step("trying what is exported with the programs of others", || suite::cargo_test(&mut command))
+    step("trying what is exported with the programs of others", || cargo_test(&mut command))
 }
 
 /// Finds or installs the programs.

@@ -11,9 +11,11 @@ mod frame;
 mod id;
 mod mailbox;
 mod timing;
+mod tx_nodes;
 
 pub use controller::{Controller, Status};
 pub use frame::{Frame, Payload};
 pub use id::{Etag, Id, Priority, TxNode};
 pub use mailbox::{Command, ErrorCounters, Mailbox, Outcome};
 pub use timing::{BitRate, ERROR_RECOVERY_BITS, LONGEST_FRAME_BITS, longest_frame_bits};
+pub use tx_nodes::TxNodes;

@@ -5,11 +5,10 @@ use super::content::Content;
 use super::filter::Filter;
 use super::pool::List;
 use super::rate::{EventRate, Guard};
-use crate::can::{Etag, Id, Priority, TxNode};
+use crate::can::{Etag, Id, Priority, TxNode, TxNodes};
 use crate::network::hard::BufferId;
 use crate::network::soft::Tag;
 use crate::protocol::LayoutHash;
-use crate::seal::TxNodes;
 use crate::time::Instant;
 use crate::uid::Subject;
 use core::marker::PhantomData;
@@ -228,8 +227,10 @@ pub(super) const NONE: u8 = u8::MAX;
 pub(super) struct Entry {
     pub(super) declared: Declared,
     pub(super) etag: Option<Etag>,
-    /// What the frames of its events are called. Closed if the channel has a rate, and then with the guard.
+    /// What the frames of its events are called. Closed if the channel has a rate, but for the event that is charged.
     pub(super) outlet: Outlet,
+    /// The outlet of a channel with a rate.
+    pub(super) guarded_outlet: Outlet,
     pub(super) guard: Guard,
     /// In a sealed cluster: whose events are taken. Not for hard real-time channels, where the calendar says so.
     pub(super) publishers: Option<&'static TxNodes>,
@@ -250,6 +251,7 @@ impl Entry {
             declared: *declared,
             etag: None,
             outlet: Outlet::CLOSED,
+            guarded_outlet: Outlet::CLOSED,
             guard,
             publishers: None,
             overdue_at: Instant::FAR_FUTURE,

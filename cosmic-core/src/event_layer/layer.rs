@@ -11,11 +11,10 @@ use super::error::{AnnounceError, SubscribeError};
 use super::filter::{Context, Filter};
 use super::pool::{Pool, PoolFull};
 use super::rate::Guard;
-use crate::can::{Etag, Frame, TxNode};
+use crate::can::{Etag, Frame, TxNode, TxNodes};
 use crate::network::hard::BufferId;
 use crate::network::id_map::IdMap;
 use crate::network::soft::{PriorityMap, Tag};
-use crate::seal::TxNodes;
 use crate::time::Instant;
 use crate::uid::Subject;
 use core::task::Waker;
@@ -443,7 +442,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         };
         let guarded = entry.declared.rate.is_some();
         entry.outlet = if guarded { Outlet::CLOSED } else { outlet };
-        entry.guard.outlet = if guarded { outlet } else { Outlet::CLOSED };
+        entry.guarded_outlet = if guarded { outlet } else { Outlet::CLOSED };
         let awaited = entry.declared.patience().is_some();
         let plain =
             entry.subscriptions == 1 && !entry.declared.context && !awaited && entry.publishers.is_none();

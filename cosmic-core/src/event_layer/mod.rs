@@ -11,6 +11,7 @@ mod filter;
 mod layer;
 mod messages;
 mod pool;
+mod protection;
 mod publish;
 mod rate;
 pub use messages::{MessageChannel, MessagePublisher, MessageSubscriber};

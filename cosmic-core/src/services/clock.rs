@@ -2,9 +2,9 @@
 
 use super::{Declaration, NodeView, Request, Services, TooMany};
 use crate::calendar::Calendar;
-use crate::can::{Frame, TxNode};
+use crate::can::{Frame, TxNode, TxNodes};
 use crate::event_layer::ExceptionKind;
-use crate::seal::{Refusals, Seal, TxNodes, Warden};
+use crate::seal::{Refusals, Seal, Warden};
 use crate::sync::{ClockEvent, ClockSync, SyncConfig, SyncConfigError, SyncCounters};
 use crate::time::{Duration, GlobalClock, Instant};
 use crate::uid::Subject;

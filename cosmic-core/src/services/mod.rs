@@ -15,10 +15,9 @@ pub use config::{News, NodeConfig};
 pub use hosted::Hosted;
 pub use node::NodeServices;
 
-use crate::can::{ErrorCounters, Etag, Frame, Id, TxNode};
+use crate::can::{ErrorCounters, Etag, Frame, Id, TxNode, TxNodes};
 use crate::event_layer::ExceptionKind;
 use crate::protocol::{Class, LayoutHash};
-use crate::seal::TxNodes;
 use crate::time::{GlobalClock, Instant};
 use crate::uid::Subject;
 

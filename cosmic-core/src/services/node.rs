@@ -2,13 +2,13 @@
 
 use super::{Declaration, Hosted, News, NodeConfig, NodeView, Request, Services, TooMany};
 use crate::calendar::Calendar;
-use crate::can::{Etag, Frame, Id, Priority, TxNode};
+use crate::can::{Etag, Frame, Id, Priority, TxNode, TxNodes};
 use crate::client::{Binding, BindingEvent, Configuration, ConfigurationEvent, OnDuplicate};
 use crate::event_layer::ExceptionKind;
 use crate::membership::{Declarations, Health, Interests, MemberEvent, Members, StatusReport};
 use crate::protocol::{Class, LayoutHash, NodeState, Output, Side};
 use crate::ring::Ring;
-use crate::seal::{Contradiction, Refusals, TxNodes, Warden};
+use crate::seal::{Contradiction, Refusals, Warden};
 use crate::services::ClockService;
 use crate::sync::SyncConfigError;
 use crate::time::{Duration, Instant};

@@ -6,7 +6,7 @@
 //! just been ready, so that it waits for the next one: the bound is the longest distance of two slots and the window,
 //! from publication. Clocks of publisher and subscriber may differ by 2ε meanwhile.
 
-use super::segment::{ChannelProof, Origin, Proof, Term, Verdict};
+use super::proof::{ChannelProof, Origin, Proof, Term, Verdict};
 use crate::cluster::Cluster;
 use crate::plan::found::{Plan, PlannedSlot};
 use cosmic_core::time::Duration;

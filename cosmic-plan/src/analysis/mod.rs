@@ -12,6 +12,7 @@ pub mod errors;
 pub mod fixed;
 pub mod frame;
 mod hard;
+pub mod proof;
 pub mod reserved;
 pub mod segment;
 pub mod sensitivity;

@@ -1,6 +1,7 @@
 //! Why a channel's bound is what it is, and what changed between two plans.
 
-use crate::analysis::segment::{Assessment, ChannelProof};
+use crate::analysis::proof::ChannelProof;
+use crate::analysis::segment::Assessment;
 use crate::cluster::{Class, Cluster};
 use crate::plan::{Plan, PlannedSlot};
 use crate::units::{microseconds, show};

@@ -1,7 +1,8 @@
 //! The report for machines.
 
 use super::text::pool_effect;
-use crate::analysis::segment::{Assessment, Proof};
+use crate::analysis::proof::Proof;
+use crate::analysis::segment::Assessment;
 use crate::analysis::sensitivity::Growth;
 use crate::cluster::Cluster;
 use crate::plan::conflict::Conflict;

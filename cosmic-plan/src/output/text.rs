@@ -1,6 +1,7 @@
 //! The report for people, in at most 80 columns.
 
-use crate::analysis::segment::{Assessment, Origin};
+use crate::analysis::proof::Origin;
+use crate::analysis::segment::Assessment;
 use crate::analysis::sensitivity::Growth;
 use crate::cluster::{Class, Cluster};
 use crate::plan::relax::Relaxation;

@@ -6,11 +6,13 @@
 
 mod arguments;
 mod commands;
+mod context;
 mod failure;
 mod log;
 mod output;
 mod source;
 mod top;
+mod words;
 
 use std::process::ExitCode;
 

@@ -53,6 +53,7 @@ mod nodes;
 mod plan;
 mod slots;
 mod snapshot;
+mod suspects;
 mod view;
 
 pub use channels::{MOST_CHANNELS, MOST_PARTICIPANTS};

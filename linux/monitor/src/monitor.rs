@@ -15,13 +15,13 @@ use crate::brokers::Brokers;
 use crate::channels::Channels;
 use crate::clock::{ClockNews, ListenerClock};
 use crate::decode::{self, Decoded, DecodedField, Meaning};
-use crate::doctor::{Finding, Suspects};
 use crate::feed::{Feed, News, Notice, NoticeKind};
 use crate::load::Load;
 use crate::nodes::Nodes;
 use crate::plan::SegmentPlan;
 use crate::slots::{Slots, Standing};
 use crate::snapshot::Snapshot;
+use crate::suspects::Suspects;
 
 /// What a listener knows of a segment. See the [crate](crate) for the calling order and the bounds.
 #[derive(Clone, Debug)]
@@ -152,16 +152,15 @@ impl Monitor {
 
     /// All that is known at `now`.
     pub fn snapshot(&mut self, now: Instant) -> Snapshot {
-        let now = self.advance(now);
-        self.sweep(now);
+        let now = self.refresh(now);
         self.view(now)
     }
 
-    /// What is wrong with the segment at `now`, the worst first.
-    pub fn doctor(&mut self, now: Instant) -> Vec<Finding> {
+    /// Time has come so far: forgets what is too old.
+    pub(crate) fn refresh(&mut self, now: Instant) -> Instant {
         let now = self.advance(now);
         self.sweep(now);
-        self.findings(now)
+        now
     }
 
     /// The notices with a [sequence number](Notice::sequence) above this, oldest first.

@@ -1,11 +1,12 @@
-//! What an application holds of a channel.
+//! What an application does on a channel: announces it, or subscribes to it, and what it then holds.
 
 use std::fmt;
 use std::future::poll_fn;
 
 use cosmic_core::Subject;
 use cosmic_core::event_layer::{
-    self, Channel, Content, Delivered, Event, Publication, PublishError, Subscription,
+    self, Attributes, Channel, Content, Delivered, Event, Filter, Policy, Publication, PublishError,
+    SubscribeError, Subscription,
 };
 
 use crate::node::Node;
@@ -32,6 +33,46 @@ impl fmt::Display for AnnounceError {
 }
 
 impl std::error::Error for AnnounceError {}
+
+impl Node {
+    /// Announces a channel.
+    ///
+    /// # Errors
+    /// [`AnnounceError`]; always for a hard real-time channel.
+    pub fn announce<C: Content>(&self, channel: &Channel<C>) -> Result<Publisher<C>, AnnounceError> {
+        if matches!(channel.attributes(), Attributes::Hard(_)) {
+            return Err(AnnounceError::HardRealTime);
+        }
+        let publication = self.shared().act(|core, _| core.half.announce(channel));
+        Ok(Publisher::new(self.clone(), channel, publication.map_err(AnnounceError::Refused)?))
+    }
+
+    /// Subscribes to all events of a channel.
+    ///
+    /// # Errors
+    /// [`SubscribeError`]: no room, or a hard real-time channel that is not in the calendar.
+    pub fn subscribe<C: Content>(
+        &self,
+        channel: &Channel<C>,
+        policy: Policy,
+    ) -> Result<Subscriber<C>, SubscribeError> {
+        self.subscribe_filtered(channel, Filter::ALL, policy)
+    }
+
+    /// Subscribes to those events that pass the filter.
+    ///
+    /// # Errors
+    /// As [`subscribe`](Self::subscribe).
+    pub fn subscribe_filtered<C: Content>(
+        &self,
+        channel: &Channel<C>,
+        filter: Filter,
+        policy: Policy,
+    ) -> Result<Subscriber<C>, SubscribeError> {
+        let subscription = self.shared().act(|core, _| core.half.subscribe_early(channel, filter, policy))?;
+        Ok(Subscriber::new(self.clone(), subscription))
+    }
+}
 
 /// The right to publish on a channel. Given up when it is dropped; events that wait to be sent are then discarded, if
 /// it was the last one of the channel.

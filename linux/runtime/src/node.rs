@@ -3,9 +3,7 @@
 use std::sync::Arc;
 
 use cosmic_core::can::{Etag, TxNode};
-use cosmic_core::event_layer::{
-    Attributes, Channel, ChannelCounters, Content, Exception, ExceptionKind, Filter, Policy, SubscribeError,
-};
+use cosmic_core::event_layer::{ChannelCounters, Exception, ExceptionKind};
 use cosmic_core::protocol::Side;
 use cosmic_core::services::News;
 use cosmic_core::time::Instant;
@@ -13,7 +11,6 @@ use cosmic_core::{Subject, broker};
 use tokio::sync::broadcast;
 use tokio::task::JoinHandle;
 
-use crate::application::{AnnounceError, Publisher, Subscriber};
 use crate::config::{BrokerTables, Config, StartError};
 use crate::link::{self, Link, LinkCounters};
 use crate::shared::Shared;
@@ -50,44 +47,6 @@ impl Node {
             tokio::spawn(link::keep_connected(link, Arc::clone(&shared) as Arc<dyn link::End>)),
         ];
         Ok(Self { running: Arc::new(Running { shared, tasks }) })
-    }
-
-    /// Announces a channel.
-    ///
-    /// # Errors
-    /// [`AnnounceError`]; always for a hard real-time channel.
-    pub fn announce<C: Content>(&self, channel: &Channel<C>) -> Result<Publisher<C>, AnnounceError> {
-        if matches!(channel.attributes(), Attributes::Hard(_)) {
-            return Err(AnnounceError::HardRealTime);
-        }
-        let publication = self.shared().act(|core, _| core.half.announce(channel));
-        Ok(Publisher::new(self.clone(), channel, publication.map_err(AnnounceError::Refused)?))
-    }
-
-    /// Subscribes to all events of a channel.
-    ///
-    /// # Errors
-    /// [`SubscribeError`]: no room, or a hard real-time channel that is not in the calendar.
-    pub fn subscribe<C: Content>(
-        &self,
-        channel: &Channel<C>,
-        policy: Policy,
-    ) -> Result<Subscriber<C>, SubscribeError> {
-        self.subscribe_filtered(channel, Filter::ALL, policy)
-    }
-
-    /// Subscribes to those events that pass the filter.
-    ///
-    /// # Errors
-    /// As [`subscribe`](Self::subscribe).
-    pub fn subscribe_filtered<C: Content>(
-        &self,
-        channel: &Channel<C>,
-        filter: Filter,
-        policy: Policy,
-    ) -> Result<Subscriber<C>, SubscribeError> {
-        let subscription = self.shared().act(|core, _| core.half.subscribe_early(channel, filter, policy))?;
-        Ok(Subscriber::new(self.clone(), subscription))
     }
 
     /// Waits for the next exception.

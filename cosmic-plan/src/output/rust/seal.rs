@@ -31,7 +31,7 @@ pub(super) fn write(out: &mut String, cluster: &Cluster) -> std::fmt::Result {
         writeln!(out, "            subject: {},", subject(channel.subject))?;
         writeln!(out, "            etag: {CORE}::can::Etag::new({}).unwrap(),", etag.get())?;
         writeln!(out, "            class: {CORE}::event_layer::Class::{class},")?;
-        writeln!(out, "            publishers: {CORE}::seal::TxNodes::of(&[{}]),", publishers.join(", "))?;
+        writeln!(out, "            publishers: {CORE}::can::TxNodes::of(&[{}]),", publishers.join(", "))?;
         writeln!(out, "        }},")?;
     }
     let brokers: Vec<String> = brokers.iter().map(|at| uid(&cluster.nodes[*at])).collect();

@@ -1,7 +1,8 @@
 //! Bounds of what is sent by events, against their deadlines, as bars.
 
 use super::{LEFT, WIDTH, rectangle, text};
-use crate::analysis::segment::{Assessment, Proof};
+use crate::analysis::proof::Proof;
+use crate::analysis::segment::Assessment;
 use crate::cluster::{Class, Cluster};
 use crate::units::show;
 use svg::node::element::{Group, Line};

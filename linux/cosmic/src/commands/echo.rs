@@ -7,8 +7,9 @@ use cosmic_linux::What;
 use cosmic_monitor::Decoded;
 use serde::Serialize;
 
-use super::{Context, warn};
+use super::warn;
 use crate::arguments::Echo;
+use crate::context::Context;
 use crate::failure::{FOUND, Failure};
 use crate::output::Style;
 use crate::source::feed;

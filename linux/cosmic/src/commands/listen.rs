@@ -4,10 +4,12 @@ use std::process::ExitCode;
 
 use cosmic_monitor::{ChannelView, Finding, NodeView, Severity, Snapshot};
 
-use super::{Context, listen};
+use super::listen;
 use crate::arguments::Listen;
+use crate::context::Context;
 use crate::failure::{FOUND, Failure};
 use crate::output::{Cell, Style, short};
+use crate::words::{last, role};
 
 async fn heard(context: &Context, options: &Listen) -> Result<(Snapshot, Vec<Finding>), Failure> {
     let mut source = context.source(Some(options.span)).await?;
@@ -71,16 +73,6 @@ fn node_row(node: &NodeView) -> Vec<Cell> {
     ]
 }
 
-/// What a node does for the others.
-pub(crate) fn role(node: &NodeView) -> Option<&'static str> {
-    match (node.is_broker, node.is_master) {
-        (true, true) => Some("broker, time"),
-        (true, false) => Some("broker"),
-        (false, true) => Some("time"),
-        (false, false) => None,
-    }
-}
-
 /// `cosmic channels`
 pub(super) async fn channels(context: &mut Context, options: &Listen) -> Result<ExitCode, Failure> {
     let (snapshot, _) = heard(context, options).await?;
@@ -126,13 +118,6 @@ fn channel_row(channel: &ChannelView) -> Vec<Cell> {
         Cell::or_dash(list(subscribers.collect())),
         Cell::or_dash(last(channel)),
     ]
-}
-
-/// The last content, by its fields or in hexadecimal digits.
-pub(crate) fn last(channel: &ChannelView) -> Option<String> {
-    let last = channel.last.as_ref()?;
-    let fields: Vec<String> = last.fields.iter().map(ToString::to_string).collect();
-    Some(if fields.is_empty() { last.data.clone() } else { fields.join(" ") })
 }
 
 /// `cosmic doctor`

@@ -7,8 +7,9 @@ use std::time::Duration;
 use cosmic_bus::WireFrame;
 use cosmic_linux::What;
 
-use super::{Context, echo, warn};
+use super::{echo, warn};
 use crate::arguments::{LinkChoice, Record, Replay};
+use crate::context::Context;
 use crate::failure::{FOUND, Failure};
 use crate::log::Writer;
 use crate::source::{Source, feed};

@@ -9,8 +9,9 @@ use cosmic_linux::What;
 use cosmic_monitor::{ChannelView, Monitor, SlotView};
 use serde::Serialize;
 
-use super::{Chosen, Context, listen, warn};
+use super::{listen, warn};
 use crate::arguments::Measure;
+use crate::context::{Chosen, Context};
 use crate::failure::{FOUND, Failure};
 use crate::output::{Cell, Style, short, signed};
 use crate::source::feed;

@@ -16,8 +16,8 @@ use cosmic_plan::cluster;
 use serde::Serialize;
 use tokio::sync::mpsc;
 
-use super::Context;
 use crate::arguments::{Class, Host, Identity, Publish, Subscribe, subject};
+use crate::context::Context;
 use crate::failure::{FOUND, Failure};
 use crate::log;
 use crate::output::Style;

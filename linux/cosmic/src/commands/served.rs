@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use cosmic_bus::{Bus, FaultModel};
 use cosmic_linux::link::segment::{Options, SimulatedSegment, serve};
 
-use super::Context;
+use crate::context::Context;
 use crate::failure::Failure;
 
 pub(super) async fn segment(context: &mut Context, path: &Path) -> Result<ExitCode, Failure> {

@@ -9,8 +9,8 @@ use ratatui::widgets::{Block, Borders, Cell, Clear, Paragraph, Row, Sparkline, T
 
 use super::Shown;
 use super::screen::{Pane, Screen};
-use crate::commands::{last, role};
 use crate::output::{short, signed};
+use crate::words::{last, role};
 
 pub(crate) fn draw(frame: &mut Frame<'_>, screen: &mut Screen, shown: &Shown<'_>) {
     let area = frame.area();

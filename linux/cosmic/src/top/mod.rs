@@ -15,7 +15,7 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
 
 use crate::arguments::{LinkChoice, Top};
-use crate::commands::Context;
+use crate::context::Context;
 use crate::failure::Failure;
 use crate::source::{Source, feed, sleep_until};
 use screen::{Answer, Screen};

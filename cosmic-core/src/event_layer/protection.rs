@@ -1,0 +1,127 @@
+//! Bus protection: the channels of a node are held to their [rates](super::rate), and subscribers of periodic ones
+//! are told of events that do not come.
+
+use super::attributes::Attributes;
+use super::channel::{Declared, Entry, Outlet};
+use super::layer::EventLayer;
+use super::publish::PublishError;
+use crate::network::soft::Tag;
+use crate::time::{Duration, Instant};
+use crate::uid::Subject;
+
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
+    EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>
+{
+    /// Nothing can be published on the channel: but if that is only for its rate, it is charged for one event and opened
+    /// for it, until [`close`](Self::close). A channel with a rate is closed otherwise, so that the others need not ask
+    /// whether they have one.
+    pub(crate) fn open(&mut self, now: Instant, tag: Tag) -> Result<bool, PublishError> {
+        self.entry_mut(tag.0).map_or(Ok(false), |entry| entry.open(now))
+    }
+
+    /// The event for which the channel was opened has been published, or not.
+    pub(crate) fn close(&mut self, tag: Tag) {
+        if let Some(entry) = self.entry_mut(tag.0) {
+            entry.outlet = Outlet::CLOSED;
+        }
+    }
+
+    /// The next event of the channel is a frame of a message: charges the whole message with its first, if the
+    /// channel has a rate.
+    pub(crate) fn charge_message(&mut self, now: Instant, tag: Tag, first: bool) -> Result<(), PublishError> {
+        self.entry_mut(tag.0).map_or(Ok(()), |entry| entry.charge_message(now, first))
+    }
+
+    /// When an event is overdue, if none comes before. It may be early.
+    pub(crate) const fn next_overdue(&self) -> Instant {
+        self.first_overdue
+    }
+
+    /// A channel of which events are overdue, and how many; call until it returns `None`. O(CHANNELS), but O(1)
+    /// before [`next_overdue`](Self::next_overdue).
+    pub(crate) fn take_overdue(&mut self, now: Instant) -> Option<(Subject, u32)> {
+        if now < self.first_overdue {
+            return None;
+        }
+        let mut entries = self.channels.iter_mut().flatten();
+        let found = entries.find_map(|entry| match entry.take_overdue(now) {
+            0 => None,
+            missed => Some((entry.declared.subject, missed)),
+        });
+        if found.is_none() {
+            let all = self.channels.iter().flatten().map(|entry| entry.overdue_at);
+            self.first_overdue = all.fold(Instant::FAR_FUTURE, Instant::min);
+        }
+        found
+    }
+}
+
+impl Declared {
+    /// How long a subscriber of a periodic soft channel waits for the next event; `None` for other channels.
+    pub(super) const fn patience(&self) -> Option<Duration> {
+        match (self.rate, &self.attributes) {
+            (Some(rate), Attributes::Soft(quality)) if rate.is_periodic() => Some(rate.patience(quality)),
+            _ => None,
+        }
+    }
+}
+
+impl Entry {
+    /// Opens the outlet of a channel with a rate for one event, which is charged for it. Returns whether it did; or that
+    /// the event comes too early.
+    fn open(&mut self, now: Instant) -> Result<bool, PublishError> {
+        if self.guarded_outlet.is_closed() || !self.outlet.is_closed() {
+            return Ok(false);
+        }
+        if !self.guard.begin() {
+            self.charge_event(now)?;
+        }
+        self.outlet = self.guarded_outlet;
+        Ok(true)
+    }
+
+    /// The next event is a frame of a message, which is charged as one event, with its first frame.
+    pub(super) fn charge_message(&mut self, now: Instant, first: bool) -> Result<(), PublishError> {
+        if first {
+            self.charge_event(now)?;
+        }
+        self.guard.prepay();
+        Ok(())
+    }
+
+    fn charge_event(&mut self, now: Instant) -> Result<(), PublishError> {
+        let Some(rate) = self.declared.rate else { return Ok(()) };
+        if self.guard.charge(&rate, now) {
+            return Ok(());
+        }
+        self.counters.too_fast = self.counters.too_fast.wrapping_add(1);
+        Err(PublishError::TooFast)
+    }
+
+    pub(super) fn refund(&mut self) {
+        if let Some(rate) = self.declared.rate {
+            self.guard.refund(&rate);
+        }
+    }
+
+    /// Takes note that an event of a channel whose events are awaited has come.
+    pub(super) fn note_arrival(&mut self, patience: Duration, received_at: Instant) {
+        self.overdue_at = received_at + patience;
+    }
+
+    /// How many events have not come by now that should have.
+    pub(super) fn take_overdue(&mut self, now: Instant) -> u32 {
+        let Some(rate) = self.declared.rate else { return 0 };
+        if now < self.overdue_at || self.overdue_at == Instant::FAR_FUTURE {
+            return 0;
+        }
+        let late = now.saturating_since(self.overdue_at).as_ticks();
+        let more = late.checked_div(rate.interval().as_ticks()).unwrap_or(0);
+        let missed = more.saturating_add(1);
+        let passed = rate.interval().as_ticks().saturating_mul(missed);
+        // At the end of the time scale it stays there.
+        let next = self.overdue_at.since_epoch().as_ticks().saturating_add(passed);
+        self.overdue_at = Instant::from_epoch(Duration::from_ticks(next));
+        u32::try_from(missed).unwrap_or(u32::MAX)
+    }
+}

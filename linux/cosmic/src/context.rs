@@ -1,0 +1,83 @@
+//! What all commands share.
+
+use std::time::Duration;
+
+use cosmic_core::can::{BitRate, Etag};
+use cosmic_core::time::Instant;
+use cosmic_monitor::{Monitor, SegmentPlan};
+
+use crate::arguments::{Common, LinkChoice};
+use crate::failure::Failure;
+use crate::output::Output;
+use crate::source::Source;
+
+/// What all commands share.
+pub(crate) struct Context {
+    pub(crate) common: Common,
+    pub(crate) plan: Option<SegmentPlan>,
+    pub(crate) output: Output,
+}
+
+impl Context {
+    /// The link or log that was chosen.
+    pub(crate) fn link(&self) -> Result<&LinkChoice, Failure> {
+        self.common.link.as_ref().ok_or_else(|| {
+            Failure::input(
+                "no link was given: say --link sim:PATH, or another (see --help), or set COSMIC_LINK",
+            )
+        })
+    }
+
+    /// The bit rate of the segment.
+    pub(crate) fn bit_rate(&self) -> BitRate {
+        self.plan.as_ref().map_or(self.common.bit_rate, SegmentPlan::bit_rate)
+    }
+
+    /// Opens the link or log, and waits for the connection.
+    pub(crate) async fn source(&self, span: Option<cosmic_core::time::Duration>) -> Result<Source, Failure> {
+        let mut source = Source::open(self.link()?, self.bit_rate())?.for_span(span);
+        source.connected(PATIENCE).await?;
+        Ok(source)
+    }
+
+    /// A monitor that knows the plan.
+    pub(crate) fn monitor(&self, now: Instant) -> Monitor {
+        match &self.plan {
+            Some(plan) => Monitor::with_plan(plan.clone(), now),
+            None => Monitor::new(self.common.bit_rate, now),
+        }
+    }
+
+    /// The channels that were named.
+    ///
+    /// # Errors
+    /// One of the names can be none, whatever the segment says later.
+    pub(crate) fn chosen(&self, names: &[String]) -> Result<Chosen, Failure> {
+        for name in names {
+            let planned = self.plan.as_ref().is_some_and(|plan| plan.channel_named(name).is_some());
+            let is_name =
+                crate::arguments::subject(name).is_some() || name.parse().ok().and_then(Etag::new).is_some();
+            if !planned && !is_name {
+                let remedy = match self.plan {
+                    Some(_) => "names stand in the cluster file; or give a subject or an etag",
+                    None => "give the cluster file by --cluster, or a subject or an etag",
+                };
+                return Err(Failure::input(format!("there is no channel {name:?}: {remedy}")));
+            }
+        }
+        Ok(Chosen(names.to_vec()))
+    }
+}
+
+/// The channels that a command looks at.
+pub(crate) struct Chosen(Vec<String>);
+
+impl Chosen {
+    /// Returns whether this channel is one of them, as far as the monitor knows by now.
+    pub(crate) fn has(&self, monitor: &Monitor, etag: Etag) -> bool {
+        self.0.is_empty() || self.0.iter().any(|name| monitor.etag_called(name) == Some(etag))
+    }
+}
+
+/// Who listens only need not wait for long.
+const PATIENCE: Duration = Duration::from_secs(1);
