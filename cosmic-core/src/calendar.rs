@@ -100,7 +100,7 @@ impl Segment {
     }
 }
 
-/// Why a calendar is none. The numbers are positions in the list of slots.
+/// What is wrong with a calendar. The numbers are positions in the list of slots.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -328,10 +328,7 @@ const fn check_slot(
 
 /// Returns whether some occurrence of `other` begins within one of the windows of `slot`, and not as part of
 /// its pool.
-#[expect(
-    clippy::arithmetic_side_effects,
-    reason = "periods were checked not to be zero, and to be within a cycle"
-)]
+#[expect(clippy::arithmetic_side_effects, reason = "periods are not zero, and within a cycle")]
 const fn overlaps(slot: &Slot, window: u64, other: &Slot) -> bool {
     if slot.is_ready_with(other) {
         return slot.publisher.get() == other.publisher.get()

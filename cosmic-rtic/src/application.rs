@@ -137,6 +137,13 @@ pub async fn next_exception<T: System>(node: &mut impl Mutex<T = Node<T>>) -> Ex
     poll_fn(|context| node.lock(|node| node.poll_exception(context.waker()))).await
 }
 
+/// Takes one exception after the other, so that the observer hears of each.
+pub async fn report_exceptions<T: System>(mut node: impl Mutex<T = Node<T>>) {
+    loop {
+        next_exception(&mut node).await;
+    }
+}
+
 /// Waits until this node knows the time of the cluster, without which it takes no part in hard real-time.
 pub async fn synchronised<T: System>(node: &mut impl Mutex<T = Node<T>>) {
     synchronised_since(node).await;

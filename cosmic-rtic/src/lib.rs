@@ -36,6 +36,8 @@ pub mod board;
 mod departures;
 mod hard;
 mod inbox;
+#[cfg(feature = "defmt")]
+mod log;
 pub mod messages;
 mod node;
 pub mod observer;
@@ -46,11 +48,13 @@ mod system;
 mod tasks;
 
 pub use application::{
-    Publisher, Subscriber, Ticker, before_slot, next_exception, publish_every, publish_in_slots, settled,
-    synchronised,
+    Publisher, Subscriber, Ticker, before_slot, next_exception, publish_every, publish_in_slots,
+    report_exceptions, settled, synchronised,
 };
 pub use board::Board;
 pub use hard::Hard;
+#[cfg(feature = "defmt")]
+pub use log::Log;
 pub use messages::{Message, MessageError, MessagePublisher, MessageSubscriber};
 pub use node::Node;
 pub use observer::{CalendarObserver, Observer, Observes};
@@ -79,7 +83,7 @@ pub mod prelude {
     pub use crate::{
         Board, Calendar, Events, MessagePublisher, MessageSubscriber, Node, Other, Outcomes, Parts,
         Publisher, Status, Storage, Subscriber, System, Ticker, Urgent, before_slot, next_exception,
-        publish_every, publish_in_slots, settled, spawn, synchronised,
+        publish_every, publish_in_slots, report_exceptions, settled, spawn, synchronised,
     };
     pub use cosmic_core::event_layer::{Depth, Policy};
     pub use cosmic_core::time::Duration;

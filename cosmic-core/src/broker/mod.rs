@@ -45,10 +45,12 @@ mod others;
 mod report;
 mod requests;
 mod session;
+mod table;
 mod tables;
 
 pub use report::{BrokerCounters, BrokerEvent, BrokerRole, BrokerTiming};
-pub use tables::{Conflict, Nodes, Subjects};
+pub use table::Conflict;
+pub use tables::{Nodes, Subjects};
 
 use self::session::Session;
 use crate::can::{Etag, Frame, Id, TxNode};

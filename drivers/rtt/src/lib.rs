@@ -2,15 +2,15 @@
 //!
 //! The usual transports mask all interrupts from the first to the last byte of a line, which takes tens of
 //! microseconds: jitter for a task that has nothing to do with the log. Here a line masks only the priorities
-//! that may log (by BASEPRI): [`start`] is told the highest of them. A line of a task above it, which could come
-//! while another line is half written, is not written, but counted ([`lost`]).
+//! that may log (by BASEPRI): `start` is told the highest of them. A line of a task above it, which could come
+//! while another line is half written, is not written, but counted (`lost`).
 //!
 //! ```ignore
 //! // In RTIC's `init`: a buffer of 1024 bytes. The tasks that log have at most priority 3.
 //! cosmic_rtt::start!(1024, 3);
 //! ```
 //!
-//! Up-channel 0, `defmt`, carries the log; [`channel`] sets up another beside it, for data of the application's.
+//! Up-channel 0, `defmt`, carries the log; `channel` sets up another beside it, for data of the application's.
 //! Nobody ever waits for a probe: what finds no room is left out whole, and counted.
 //!
 //! With the feature `panic-handler` a panic is logged, whoever was logging, and ends in a HardFault. It says file,

@@ -2,12 +2,11 @@
 #![no_std]
 
 pub use boards::Stm32F405;
-use cosmic_core::event_layer::{Channel, Content, Exception, PublishError};
+use cosmic_core::event_layer::{Channel, Content};
 use cosmic_core::plan::NodePlan;
 use cosmic_core::services::ClockService;
-use cosmic_core::time::Instant;
+use cosmic_rtic::Log;
 pub use cosmic_rtic::prelude::*;
-use cosmic_rtic::{Observer, Observes};
 
 use watch::Watcher;
 
@@ -37,32 +36,6 @@ pub fn board(resources: boards::stm32f4::Resources, node: &NodePlan) -> Stm32F40
 pub fn start(board: Stm32F405, node: &NodePlan, storage: &'static mut Storage<Rover>) -> Parts<Rover> {
     let observers = (Log, watch::watcher());
     cosmic_rtic::start_observed(board, node, storage, observers, ((), ())).expect("the plan has a clock")
-}
-
-/// Logs what goes wrong.
-pub struct Log;
-
-impl Observer for Log {
-    type Calendar = ();
-
-    fn exception(&mut self, exception: &Exception) {
-        defmt::warn!("{}", exception);
-    }
-}
-
-impl<C: Content> Observes<C> for Log {
-    fn published(&mut self, channel: &Channel<C>, _: &C, _: Instant, result: Result<(), PublishError>) {
-        if let Err(error) = result {
-            defmt::warn!("an event of {} was not published: {}", channel.subject(), error);
-        }
-    }
-}
-
-/// Takes one exception after the other, so that the log hears of it.
-pub async fn report_exceptions(mut node: impl Mutex<T = Node<Rover>>) {
-    loop {
-        next_exception(&mut node).await;
-    }
 }
 
 /// A hard real-time event is published this long before its slot.

@@ -90,11 +90,8 @@ mod app {
     }
 
     #[task(shared = [node], priority = 1)]
-    async fn exceptions(mut context: exceptions::Context) {
-        loop {
-            // The observer reports it.
-            next_exception(&mut context.shared.node).await;
-        }
+    async fn exceptions(context: exceptions::Context) {
+        report_exceptions(context.shared.node).await
     }
 
     #[task(shared = [node], priority = 1)]

@@ -43,6 +43,7 @@
 mod brokers;
 mod channels;
 mod clock;
+mod control;
 mod decode;
 mod doctor;
 mod feed;
