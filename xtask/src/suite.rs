@@ -170,7 +170,7 @@ fn images_of(workspace: &Workspace, way: &TargetWay, folder: &Path) -> process::
 fn wrong_plan(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally> {
     let path = folder.join(plan::OF_A_REPOSITORY);
     let right = fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
-    let wrong = right.replacen("period = ", "peroid = ", 1);
+    let wrong = right.replacen("\nperiod = ", "\nperoid = ", 1);
     let line =
         wrong.lines().position(|line| line.starts_with("peroid")).context("no channel has a period")? + 1;
     fs::write(&path, &wrong).with_context(|| format!("writing {}", path.display()))?;
