@@ -88,12 +88,20 @@ impl Subject {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::format;
 
     #[test]
     fn zero_names_nothing() {
         assert_eq!(Subject::new(0), None);
         assert_eq!(NodeUid::from_bytes([0; 8]), None);
         assert_eq!(size_of::<Option<Subject>>(), 8);
+    }
+
+    #[test]
+    fn names_are_shown_in_hexadecimal_digits() {
+        let (uid, subject) = (NodeUid::new(0xC05A_0001).unwrap(), Subject::new(0xAB).unwrap());
+        assert_eq!(format!("{uid:?} {uid}"), "NodeUid(00000000C05A0001) 00000000C05A0001");
+        assert_eq!(format!("{subject:?} {subject}"), "Subject(00000000000000AB) 00000000000000AB");
     }
 
     #[test]

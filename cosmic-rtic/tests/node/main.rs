@@ -3,6 +3,7 @@
 mod bench;
 mod loops;
 mod messages;
+mod readme;
 
 use std::cell::RefCell;
 use std::pin::pin;
