@@ -24,6 +24,7 @@ fn examples() -> Vec<Example> {
     examples.extend(binding_examples());
     examples.extend(identity_examples());
     examples.extend(membership_examples());
+    examples.extend(admission_examples());
     examples
 }
 
@@ -217,6 +218,59 @@ fn membership_examples() -> Vec<Example> {
     ]
 }
 
+fn admission_examples() -> Vec<Example> {
+    let ms = |ms| CoarseSpan::floor(Duration::from_millis(ms));
+    let number = AskNumber::new(3);
+    let request = AdmissionRequest {
+        tx_node: NODE,
+        etag: ETAG,
+        number,
+        held: false,
+        len: 8,
+        interval: ms(10),
+        tolerance: CoarseSpan::floor(Duration::from_micros(500)),
+        deadline: ms(5),
+    };
+    let reply = |verdict| {
+        ControlMessage::AdmissionReply(AdmissionReply { requester: NODE, etag: ETAG, number, verdict })
+    };
+    let refused = |reason, fits_at, suffers| {
+        reply(AdmissionVerdict::Refused(AdmissionRefusal { reason, fits_at, suffers }))
+    };
+    vec![
+        Example {
+            says: "Admission request 3: etag 0x3FFE, 8 bytes every 10 ms, 0.5 ms jitter, deadline 5 ms?",
+            message: ControlMessage::AdmissionRequest(request),
+            wire: "1F4A8014#38FFF8A7107D0871",
+        },
+        Example {
+            says: "Admission request 3 again: it was admitted, and is published",
+            message: ControlMessage::AdmissionRequest(AdmissionRequest { held: true, ..request }),
+            wire: "1F4A8014#B8FFF8A7107D0871",
+        },
+        Example {
+            says: "Admission reply to it: admitted, for 10.0 s",
+            message: reply(AdmissionVerdict::Admitted(Lease::new(Duration::from_secs(10)).unwrap())),
+            wire: "1F5FC015#2A033FFE00640000",
+        },
+        Example {
+            says: "Admission reply: refused, the bus is full; every 20 ms would do",
+            message: refused(RefusalReason::Utilisation, Some(ms(20)), None),
+            wire: "1F5FC015#2A133FFE0C710000",
+        },
+        Example {
+            says: "Admission reply: refused, etag 0x0400 would be late",
+            message: refused(RefusalReason::OtherLate, None, Some(Etag::BOUND_FIRST)),
+            wire: "1F5FC015#2A433FFE00000400",
+        },
+        Example {
+            says: "Admission reply: refused, the table is full",
+            message: refused(RefusalReason::Full, None, None),
+            wire: "1F5FC015#2A633FFE00000000",
+        },
+    ]
+}
+
 /// Clock synchronisation has its own tests; here it is for the table.
 fn sync_examples() -> [(&'static str, Frame); 2] {
     let sync = SyncMessage {
@@ -275,6 +329,17 @@ fn literal_frames_that_are_no_messages() {
         ("bit 14 of an interest is zero", "1F4A8012#7FFE401EDEADBEEF"),
         ("there are three classes", "1F4A8012#BFFEC01EDEADBEEF"),
         ("there are four states", "1F4A8013#0480050701020E10"),
+        ("only a node asks for admission", "1F5FC014#38FFF8A7107D0871"),
+        ("an event has eight bytes at most", "1F4A8014#39FFF8A7107D0871"),
+        ("an interval of zero", "1F4A8014#38FFF800007D0871"),
+        ("a deadline of zero", "1F4A8014#38FFF8A7107D0000"),
+        ("a hard real-time channel is planned", "1F4A8014#380190A7107D0871"),
+        ("only the broker admits", "1F4A8015#2A033FFE00640000"),
+        ("nobody is admitted for no time", "1F5FC015#2A033FFE00000000"),
+        ("nobody suffers from what is admitted", "1F5FC015#2A033FFE00640400"),
+        ("there are seven verdicts", "1F5FC015#2A733FFE00000000"),
+        ("bit 3 of a verdict is zero", "1F5FC015#2A0B3FFE00640000"),
+        ("the broker asks nobody", "1F5FC015#7F033FFE00640000"),
         ("no message has etag 3", "1F5FC003#2A003FFE11223344"),
         ("an event is no message", "03EA8400#0102"),
     ] {
@@ -340,7 +405,7 @@ fn any_frame() -> impl Strategy<Value = Frame> {
     // Half of the frames are near a message: control priority, reserved etag.
     let id = prop_oneof![
         (0..1u32 << 29).prop_map(|raw| Id::from_raw(raw).unwrap()),
-        (250..=251u8, 0..=127u8, 0..=20u16).prop_map(|(priority, node, etag)| Id::new(
+        (250..=251u8, 0..=127u8, 0..=22u16).prop_map(|(priority, node, etag)| Id::new(
             Priority::new(priority),
             TxNode::new(node).unwrap(),
             Etag::new(etag).unwrap()
@@ -376,6 +441,34 @@ proptest! {
             lease: lease.map_or(Lease::WITHDRAWN, |steps| Lease::new(Duration::from_millis(100 * steps)).unwrap()),
         };
         prop_assert_eq!(Interest::decode(&interest.encode()), Some(interest));
+    }
+
+    #[test]
+    fn admission_round_trips(
+        node in 0..=126u8, etag in 1024..=0x3FFFu16, number in 0..=7u8, held: bool, len in 0..=8u8,
+        interval in 1..1u64 << 40, tolerance in 0..1u64 << 40, deadline in 1..1u64 << 40,
+        refusal in proptest::option::of((0..6usize, any::<bool>(), any::<bool>())), lease in 1..=16_383u64,
+    ) {
+        let [interval, tolerance, deadline] =
+            [interval, tolerance, deadline].map(|us| CoarseSpan::floor(Duration::from_micros(us)));
+        let (tx_node, etag) = (TxNode::new(node).unwrap(), Etag::new(etag).unwrap());
+        let number = AskNumber::new(number);
+        let request = AdmissionRequest { tx_node, etag, number, held, len, interval, tolerance, deadline };
+        prop_assert_eq!(AdmissionRequest::decode(&request.encode()), Some(request));
+        const REASONS: [RefusalReason; 6] = [
+            RefusalReason::Utilisation, RefusalReason::Blocking, RefusalReason::Late, RefusalReason::OtherLate,
+            RefusalReason::LessUrgentLate, RefusalReason::Full,
+        ];
+        let verdict = match refusal {
+            Some((reason, fits, suffers)) => AdmissionVerdict::Refused(AdmissionRefusal {
+                reason: REASONS[reason],
+                fits_at: fits.then_some(interval),
+                suffers: suffers.then_some(etag),
+            }),
+            None => AdmissionVerdict::Admitted(Lease::new(Duration::from_millis(100 * lease)).unwrap()),
+        };
+        let reply = AdmissionReply { requester: tx_node, etag, number, verdict };
+        prop_assert_eq!(AdmissionReply::decode(&reply.encode()), Some(reply));
     }
 
     #[test]

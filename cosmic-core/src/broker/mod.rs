@@ -258,7 +258,14 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
             {
                 self.subjects.occupy(etag, now + lease.duration());
             }
-            Some(ControlMessage::Interest(_) | ControlMessage::NodeStatus(_) | ControlMessage::Probe(_))
+            // Admission is answered by another part of the node.
+            Some(
+                ControlMessage::Interest(_)
+                | ControlMessage::NodeStatus(_)
+                | ControlMessage::Probe(_)
+                | ControlMessage::AdmissionRequest(_)
+                | ControlMessage::AdmissionReply(_),
+            )
             | None => {}
         }
     }

@@ -90,6 +90,10 @@ impl Etag {
     pub const INTEREST: Self = Self(18);
     /// Liveness, error counters, exceptions counted.
     pub const NODE_STATUS: Self = Self(19);
+    /// A node asks for a soft real-time channel that the plan does not know.
+    pub const ADMISSION_REQUEST: Self = Self(20);
+    /// The broker's node answers that.
+    pub const ADMISSION_REPLY: Self = Self(21);
 
     /// The first etag of the hard real-time channels, which the calendar fixes.
     pub const HARD_FIRST: Self = Self(100);

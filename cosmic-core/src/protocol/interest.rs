@@ -82,6 +82,15 @@ impl Lease {
         Duration::from_ticks(LEASE_STEP.as_ticks().saturating_mul(self.0 as u64))
     }
 
+    pub(super) const fn steps(self) -> u16 {
+        self.0
+    }
+
+    /// The low fourteen bits.
+    pub(super) const fn from_steps(steps: u16) -> Self {
+        Self(steps & Self::MAX.0)
+    }
+
     /// Returns whether it ends the interest.
     pub const fn is_withdrawn(self) -> bool {
         self.0 == 0

@@ -10,6 +10,7 @@
 //! | [`GetEtag`], [`SupplyEtag`] | subject to etag | `client`, `broker` |
 //! | [`NodeIdentity`], [`Probe`], [`BrokerStatus`] | detection of duplicates, rebuilding a broker's table, fail-over | `client`, `broker` |
 //! | [`Interest`], [`NodeStatus`] | who wants what, who is alive | `membership` |
+//! | [`AdmissionRequest`], [`AdmissionReply`] | soft channels that the plan does not know | `admission` |
 //!
 //! Configuration and binding have the layout of FAMOUSO's CAN configuration and etag binding protocols,
 //! so that an old broker serves our nodes and ours serves old nodes. The old broker leaves the top bit of
@@ -22,6 +23,7 @@
 
 use crate::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 
+mod admission;
 mod binding;
 mod configuration;
 mod halves;
@@ -31,6 +33,10 @@ mod output;
 mod status;
 mod sync;
 
+pub use admission::{
+    AdmissionRefusal, AdmissionReply, AdmissionRequest, AdmissionVerdict, AskNumber, CoarseSpan,
+    RefusalReason,
+};
 pub use binding::{Answer, GetEtag, Half, SupplyEtag};
 pub use configuration::{
     ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, Prefix, Release, Stage,
@@ -68,6 +74,10 @@ pub enum ControlMessage {
     Interest(Interest),
     /// A node is alive.
     NodeStatus(NodeStatus),
+    /// A node asks for a channel that the plan does not know.
+    AdmissionRequest(AdmissionRequest),
+    /// The broker's node admits it, or says why not.
+    AdmissionReply(AdmissionReply),
 }
 
 impl ControlMessage {
@@ -89,6 +99,8 @@ impl ControlMessage {
             Etag::SUPPLY_ETAG => SupplyEtag::decode(frame).map(Self::SupplyEtag),
             Etag::INTEREST => Interest::decode(frame).map(Self::Interest),
             Etag::NODE_STATUS => NodeStatus::decode(frame).map(Self::NodeStatus),
+            Etag::ADMISSION_REQUEST => AdmissionRequest::decode(frame).map(Self::AdmissionRequest),
+            Etag::ADMISSION_REPLY => AdmissionReply::decode(frame).map(Self::AdmissionReply),
             _ => None,
         }
     }
@@ -107,6 +119,8 @@ impl ControlMessage {
             Self::SupplyEtag(message) => message.encode(),
             Self::Interest(message) => message.encode(),
             Self::NodeStatus(message) => message.encode(),
+            Self::AdmissionRequest(message) => message.encode(),
+            Self::AdmissionReply(message) => message.encode(),
         }
     }
 }

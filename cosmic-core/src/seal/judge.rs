@@ -76,6 +76,9 @@ impl Seal {
                 let leaves = status.state == NodeState::Leaving;
                 self.of_a_node(sender, if leaves { Ignored } else { Believed })
             }
+            // What is not in the plan is not admitted here.
+            ControlMessage::AdmissionRequest(_) => self.of_a_node(sender, Refused(C::Publisher)),
+            ControlMessage::AdmissionReply(_) => Refused(C::Broker),
         }
     }
 

@@ -12,7 +12,7 @@ use proptest::prelude::*;
 use crate::ether::{Ether, Node, Station, subject, tx_node, uid};
 
 fn frame() -> impl Strategy<Value = Frame> {
-    let id = (250..=251u8, 0..=127u8, 0..=20u16).prop_map(|(priority, node, etag)| {
+    let id = (250..=251u8, 0..=127u8, 0..=22u16).prop_map(|(priority, node, etag)| {
         Id::new(Priority::new(priority), TxNode::new(node).unwrap(), Etag::new(etag).unwrap())
     });
     let any_id = (0..1u32 << 29).prop_map(|raw| Id::from_raw(raw).unwrap());
@@ -45,7 +45,7 @@ impl Station for Stranger {
 
 /// A control frame: any reserved etag, TxNode and length, of this cluster's names or any others.
 fn control_frame() -> impl Strategy<Value = Frame> {
-    let etag = prop_oneof![4 => 0..=20u16, 1 => 0..=99u16];
+    let etag = prop_oneof![4 => 0..=22u16, 1 => 0..=99u16];
     let node = prop_oneof![Just(1u8), Just(0x7E), Just(0x7F), 0..=0x7Fu8];
     let id = (250..=251u8, node, etag).prop_map(|(priority, node, etag)| {
         Id::new(Priority::new(priority), TxNode::new(node).unwrap(), Etag::new(etag).unwrap())

@@ -138,13 +138,54 @@ pub const CONTROL: &[Control] = &[
             field("uptime", 48, 16, Shown::Decimal("s")),
         ],
     },
+    Control {
+        etag: Etag::ADMISSION_REQUEST,
+        name: "admission_request",
+        len: 8,
+        fields: &[
+            field("held", 0, 1, Shown::Names(&[(0, "asks"), (1, "holds")])),
+            field("number", 1, 3, Shown::Decimal("")),
+            field("length", 4, 4, Shown::Decimal("bytes")),
+            field("etag", 8, 14, Shown::Decimal("")),
+            field("interval_exponent", 22, 5, Shown::Decimal("")),
+            field("interval_mantissa", 27, 9, Shown::Decimal("")),
+            field("tolerance_exponent", 36, 5, Shown::Decimal("")),
+            field("tolerance_mantissa", 41, 9, Shown::Decimal("")),
+            field("deadline_exponent", 50, 5, Shown::Decimal("")),
+            field("deadline_mantissa", 55, 9, Shown::Decimal("")),
+        ],
+    },
+    Control {
+        etag: Etag::ADMISSION_REPLY,
+        name: "admission_reply",
+        len: 8,
+        fields: &[
+            field("requester", 0, 8, Shown::Decimal("")),
+            field("verdict", 8, 4, Shown::Names(VERDICTS)),
+            field("number", 13, 3, Shown::Decimal("")),
+            field("etag", 16, 16, Shown::Decimal("")),
+            field("lease_or_interval", 32, 16, Shown::Decimal("")),
+            field("suffers", 48, 16, Shown::Decimal("")),
+        ],
+    },
+];
+
+const VERDICTS: &[(u64, &str)] = &[
+    (0, "admitted"),
+    (1, "refused: utilisation"),
+    (2, "refused: blocking"),
+    (3, "refused: late"),
+    (4, "refused: another would be late"),
+    (5, "refused: a less urgent frame would be late"),
+    (6, "refused: table full"),
 ];
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use cosmic_core::can::{Frame, Id, Payload, Priority, TxNode};
-    use cosmic_core::protocol::{ControlMessage, FollowUp, SyncMessage};
+    use cosmic_core::protocol::{AdmissionVerdict, CoarseSpan, ControlMessage, FollowUp, SyncMessage};
+    use cosmic_core::time::Duration;
 
     fn read(message: &Control, bytes: [u8; 8], name: &str) -> u64 {
         let field = message.fields.iter().find(|field| field.name == name).unwrap();
@@ -169,11 +210,19 @@ mod tests {
         let mut met = Vec::new();
         for round in 0..200_000 {
             let etag = Etag::new(next() as u16 % 100).unwrap();
-            let tx_node = TxNode::new(next() as u8 % 128).unwrap();
+            let tx_node = match round % 3 {
+                0 => TxNode::BROKER,
+                _ => TxNode::new(next() as u8 % 128).unwrap(),
+            };
             let mut bytes = next().to_be_bytes();
             // Small numbers are met more often, where a byte says which kind it is.
             bytes[0] %= [4, 255][round % 2];
             bytes[1] %= [6, 255][round % 2];
+            if round % 4 == 0 {
+                for at in [2, 4, 6] {
+                    bytes[at] %= 64;
+                }
+            }
             let payload = if round % 5 == 0 { Payload::EMPTY } else { Payload::full(bytes) };
             let priority =
                 if etag.get() == 1 { Priority::new(250 + round as u8 % 2) } else { Priority::CONFIGURATION };
@@ -204,6 +253,39 @@ mod tests {
                     assert_eq!(field("class"), interest.class as u64);
                     assert_eq!(field("lease") * 100, interest.lease.duration().as_millis());
                     assert_eq!(field("layout"), u64::from(interest.layout.get()));
+                }
+                Some(ControlMessage::AdmissionRequest(request)) => {
+                    assert_eq!(field("held") == 1, request.held);
+                    assert_eq!(field("number"), u64::from(request.number.get()));
+                    assert_eq!(field("length"), u64::from(request.len));
+                    assert_eq!(field("etag"), u64::from(request.etag.get()));
+                    let span = |name: &str| {
+                        let part = |of: &str| field(&format!("{name}_{of}"));
+                        let us = match part("exponent") {
+                            0 => part("mantissa"),
+                            exponent => (512 + part("mantissa")) << (exponent - 1),
+                        };
+                        CoarseSpan::floor(Duration::from_micros(us))
+                    };
+                    assert_eq!(span("interval"), request.interval);
+                    assert_eq!(span("tolerance"), request.tolerance);
+                    assert_eq!(span("deadline"), request.deadline);
+                }
+                Some(ControlMessage::AdmissionReply(reply)) => {
+                    assert_eq!(field("requester"), u64::from(reply.requester.get()));
+                    assert_eq!(field("number"), u64::from(reply.number.get()));
+                    assert_eq!(field("etag"), u64::from(reply.etag.get()));
+                    match reply.verdict {
+                        AdmissionVerdict::Admitted(lease) => {
+                            assert_eq!(field("verdict"), 0);
+                            assert_eq!(field("lease_or_interval") * 100, lease.duration().as_millis());
+                        }
+                        AdmissionVerdict::Refused(refusal) => {
+                            assert_eq!(field("verdict"), refusal.reason as u64);
+                            let suffers = refusal.suffers.map_or(0, |etag| etag.get());
+                            assert_eq!(field("suffers"), u64::from(suffers));
+                        }
+                    }
                 }
                 Some(ControlMessage::NodeIdentity(identity)) => assert_eq!(field("uid"), identity.uid.get()),
                 Some(ControlMessage::GetEtag(get)) => assert_eq!(field("subject"), get.subject.get()),

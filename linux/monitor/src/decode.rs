@@ -5,9 +5,10 @@ use std::fmt;
 use cosmic_bus::TrafficClass;
 use cosmic_core::can::{Etag, Frame};
 use cosmic_core::protocol::{
-    Answer, Class, ConfigurationReply, ControlMessage, FollowUp, Half, NodeState, Side, SupplyEtag,
-    SyncMessage,
+    AdmissionRefusal, AdmissionReply, AdmissionRequest, AdmissionVerdict, Answer, Class, ConfigurationReply,
+    ControlMessage, FollowUp, Half, NodeState, RefusalReason, Side, SupplyEtag, SyncMessage,
 };
+use cosmic_core::time::Duration;
 use serde::Serialize;
 
 /// A frame in words.
@@ -212,6 +213,56 @@ fn of_message(message: &ControlMessage) -> Named {
                 },
             ],
         ),
+        ControlMessage::AdmissionRequest(request) => ("admission request", admission_request(request)),
+        ControlMessage::AdmissionReply(reply) => ("admission reply", admission_reply(reply)),
+    }
+}
+
+fn in_ms(name: &str, span: Duration) -> DecodedField {
+    DecodedField { unit: Some("ms".to_owned()), ..DecodedField::new(name, span.as_micros() as f64 / 1e3) }
+}
+
+fn admission_request(request: &AdmissionRequest) -> Vec<DecodedField> {
+    vec![
+        DecodedField::new("held", request.held),
+        DecodedField::new("number", request.number.get()),
+        DecodedField::new("etag", request.etag.get()),
+        DecodedField::new("length", request.len),
+        in_ms("interval", request.interval.duration()),
+        in_ms("tolerance", request.tolerance.duration()),
+        in_ms("deadline", request.deadline.duration()),
+    ]
+}
+
+fn admission_reply(reply: &AdmissionReply) -> Vec<DecodedField> {
+    let mut fields = vec![
+        DecodedField::new("requester", reply.requester),
+        DecodedField::new("number", reply.number.get()),
+        DecodedField::new("etag", reply.etag.get()),
+    ];
+    match reply.verdict {
+        AdmissionVerdict::Admitted(lease) => {
+            let seconds = lease.duration().as_millis() as f64 / 1e3;
+            let lease = DecodedField { unit: Some("s".to_owned()), ..DecodedField::new("lease", seconds) };
+            fields.extend([DecodedField::new("admitted", true), lease]);
+        }
+        AdmissionVerdict::Refused(AdmissionRefusal { reason, fits_at, suffers }) => {
+            fields.push(DecodedField::new("refused", refusal(reason)));
+            fields.extend(fits_at.map(|interval| in_ms("fits_at", interval.duration())));
+            fields.extend(suffers.map(|etag| DecodedField::new("suffers", etag.get())));
+        }
+    }
+    fields
+}
+
+fn refusal(reason: RefusalReason) -> &'static str {
+    match reason {
+        RefusalReason::Utilisation => "utilisation",
+        RefusalReason::Blocking => "blocking",
+        RefusalReason::Late => "late",
+        RefusalReason::OtherLate => "other-late",
+        RefusalReason::LessUrgentLate => "less-urgent-late",
+        RefusalReason::Full => "table-full",
     }
 }
 
