@@ -5,11 +5,13 @@ use cosmic_core::broker::{Broker, BrokerEvent, BrokerRole, BrokerTiming, Nodes, 
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Outcome, Payload, TxNode};
 use cosmic_core::client::OnDuplicate;
-use cosmic_core::event_layer::{Channel, ExceptionKind, Filter, HardAttributes, Policy, SoftAttributes};
-use cosmic_core::network::hard::HrtBuffers;
+use cosmic_core::event_layer::{
+    Channel, Event, Exception, ExceptionKind, Filter, HardAttributes, Policy, PublishError, SoftAttributes,
+};
+use cosmic_core::network::hard::{CalendarStep, Dispatcher, HrtBuffers};
 use cosmic_core::services::{NodeConfig, NodeServices, Services};
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core::{EventHalf, Input, NodeUid, Step, Subject};
+use cosmic_core::{Due, EventHalf, Input, NodeUid, Step, Subject};
 
 type Hosting = NodeServices<4, 8, 4, 8, Broker<4, 4>>;
 type Plain = NodeServices<4, 8, 4, 8>;
@@ -168,4 +170,108 @@ fn a_forged_binding_does_not_move_a_hard_channel() {
     assert_eq!(node.half.services().etag_of(HARD.subject()), Some(Etag::HARD_FIRST));
     let told = node.half.take_exception().unwrap();
     assert_eq!((told.subject, told.kind), (Some(HARD.subject()), ExceptionKind::BindingRefused));
+}
+
+const STRANGER: &str = "1F404007#0000000000000001";
+
+/// What a node publishes under its fixed id while another one may have it would be taken for the other's.
+#[test]
+fn a_node_publishes_under_its_fixed_id_only_once_it_has_it() {
+    let mut node = plain(&config());
+    let publication = node.half.announce(&SOFT).unwrap();
+    let publish = |node: &mut Node<Plain>, now| {
+        let due = node.half.publish(at(now), &publication, &Event::new(7)).map(|due| due.command());
+        // The command of an idle mailbox.
+        due.map(|due| due.is_some())
+    };
+    // Claiming: the node says so on the bus, and listens.
+    assert_eq!(publish(&mut node, 0), Err(PublishError::NotBound));
+    let mut sent: Vec<_> = (0..20).flat_map(|now| node.poll(at(now))).collect();
+    assert_eq!(sent.pop(), Some(from_candump("1F404007#000000000000FFFF")));
+    // Another one works with this id: the claim is lost, and nothing is sent for its pause, of about two seconds.
+    let _ = node.hear(at(20), &[STRANGER]);
+    for now in 21..1_500 {
+        assert_eq!(node.poll(at(now)), [], "at {now} ms");
+        assert_eq!(publish(&mut node, now), Err(PublishError::NotBound));
+    }
+    assert_eq!(node.half.exceptions(ExceptionKind::DuplicateTxNode), 1);
+    // The other one has gone: the second claim succeeds.
+    node.run(1_500..4_500);
+    assert_eq!(node.half.services().tx_node(), Some(PUBLISHER));
+    assert_eq!(publish(&mut node, 4_500), Ok(true));
+}
+
+/// A hard real-time event that waits for its slot bears the node's id, as the others do.
+#[test]
+fn what_waits_for_a_slot_is_not_sent_under_an_id_that_is_lost() {
+    let mut node = plain(&NodeConfig { on_duplicate: Some(OnDuplicate::Yield), ..config() });
+    let publication = node.half.announce(&HARD).unwrap();
+    let publish = |node: &mut Node<Plain>, now| node.half.publish(at(now), &publication, &Event::new(7));
+    assert_eq!(publish(&mut node, 0), Err(PublishError::NotBound), "it still claims its id");
+    node.run(0..200);
+    assert_eq!(publish(&mut node, 200), Ok(Due::NOTHING));
+    assert_eq!(next_slot(&mut node, 201), 1);
+    assert_eq!(publish(&mut node, 230), Ok(Due::NOTHING));
+    for now in 231..235 {
+        let _ = node.hear(at(now), &[STRANGER]);
+    }
+    assert_eq!(node.half.services().tx_node(), None);
+    assert_eq!(node.half.exceptions(ExceptionKind::IdentifierLost), 1);
+    assert_eq!(next_slot(&mut node, 240), 0, "nothing is sent");
+    assert_eq!(publish(&mut node, 300), Err(PublishError::NotBound));
+    // With its id it has its slot again.
+    node.run(300..5_000);
+    assert_eq!(node.half.services().tx_node(), Some(PUBLISHER));
+    assert_eq!(publish(&mut node, 5_000), Ok(Due::NOTHING));
+    assert_eq!(next_slot(&mut node, 5_001), 1);
+}
+
+/// How many frames the calendar task loads within two periods from this millisecond on.
+fn next_slot(node: &mut Node<Plain>, from: u64) -> usize {
+    let buffers = node.half.hard_mut();
+    buffers.set_clock(GlobalClock::free_running());
+    let mut dispatcher = Dispatcher::new(&CALENDAR);
+    let mut loaded = 0;
+    for now in from * 1_000..(from + 20) * 1_000 {
+        let now = Instant::from_epoch(Duration::from_micros(now));
+        if let CalendarStep::Command(command) = dispatcher.poll(now, buffers) {
+            loaded += usize::from(matches!(command, Command::Load(..)));
+            if let Command::Withdraw(_) = command {
+                let _ = buffers.on_outcome(Outcome::Withdrawn, now);
+            }
+        }
+    }
+    loaded
+}
+
+/// The slots of the calendar belong to a TxNode, not to a node: one that gets another id has no slot any more.
+#[test]
+fn a_node_that_gets_another_id_does_not_go_on_in_the_slots_of_the_old_one() {
+    // Asks for its first nibble; the broker knows all but the last one, and then assigns an id.
+    let configure = |node: &mut Node<Plain>, from: u64, assigned: &str| {
+        let asks = (from..from + 5_000).find(|now| !node.poll(at(*now)).is_empty()).unwrap();
+        let _ = node.hear(at(asks), &["1F5FC000#000000000000FFF1"]);
+        let _ = node.hear(at(asks), &[assigned]);
+        node.run(asks..asks + 200);
+        asks + 200
+    };
+    let mut node = plain(&NodeConfig::new(uid(0xFFFF)));
+    let now = configure(&mut node, 0, "1F404000#000000000000FFFF");
+    assert_eq!(node.half.services().tx_node(), Some(PUBLISHER));
+    let publication = node.half.announce(&HARD).unwrap();
+    let publish = |node: &mut Node<Plain>, now| node.half.publish(at(now), &publication, &Event::new(7));
+    assert_eq!(publish(&mut node, now), Ok(Due::NOTHING));
+    assert_eq!(next_slot(&mut node, now + 1), 1);
+    for now in now + 30..now + 34 {
+        let _ = node.hear(at(now), &[STRANGER]);
+    }
+    assert_eq!(node.half.services().tx_node(), None);
+    let now = configure(&mut node, now + 40, "1F408000#000000000000FFFF");
+    assert_eq!(node.half.services().tx_node(), TxNode::new(2));
+    assert_eq!(publish(&mut node, now), Err(PublishError::NotAnnounced));
+    assert_eq!(next_slot(&mut node, now + 1), 0);
+    let told = core::iter::from_fn(|| node.half.take_exception());
+    let lost =
+        |told: &Exception| told.kind == ExceptionKind::IdentifierLost && told.subject == Some(HARD.subject());
+    assert_eq!(told.into_iter().filter(lost).count(), 1);
 }

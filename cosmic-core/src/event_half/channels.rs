@@ -336,7 +336,7 @@ impl<
         buffer.map(Some).ok_or(AnnounceError::NotInCalendar)
     }
 
-    fn detach(&mut self, buffer: Option<BufferId>, role: Role) {
+    pub(super) fn detach(&mut self, buffer: Option<BufferId>, role: Role) {
         if let Some(buffer) = buffer {
             let mut detaching = Detaching::new(buffer, role);
             while !self.hard.with(|buffers| buffers.detach_step(&mut detaching)) {}

@@ -1,11 +1,11 @@
 //! What the driver and the dispatcher call: frames, outcomes, notices, and what is to be done next.
 
-use super::{EventHalf, HardAccess, Input, Own, SERVICES, Step};
+use super::{EventHalf, HardAccess, Input, Own, PUBLISHES, SERVICES, Step};
 use crate::calendar::Slot;
-use crate::can::{Command, Frame, Mailbox, Outcome, Priority};
+use crate::can::{Command, Frame, Mailbox, Outcome, Priority, TxNode};
 use crate::event_layer::{Exception, ExceptionKind, Received};
 use crate::network::hard::{BufferId, Counters, HrtBuffers};
-use crate::network::soft::{self, Outgoing};
+use crate::network::soft::{self, Outgoing, Tag};
 use crate::services::{NodeView, Request, Services};
 use crate::time::Instant;
 use crate::uid::Subject;
@@ -228,12 +228,9 @@ impl<
                 Ok(None)
             }
             Request::TxNode(tx_node) => {
-                if self.own.get().is_some_and(|former| Some(former) != tx_node) {
-                    // The frames that wait bear an id that is another node's.
-                    self.etch.revoke(now, |outgoing| outgoing.tag != SERVICES);
+                if S::GIVES_TX_NODE {
+                    self.set_tx_node(tx_node, now);
                 }
-                self.own = Own::new(tx_node);
-                self.layer.set_tx_node(tx_node);
                 Ok(None)
             }
             Request::Bound(subject, etag) => {
@@ -260,6 +257,40 @@ impl<
             self.raise(None, ExceptionKind::TransmitQueueFull, now);
             None
         })
+    }
+
+    /// The services have given the node its TxNode, or taken it. O(SOFT + NRT), O(CHANNELS), and if it was another one,
+    /// O(SLOTS) for each hard real-time channel that is published.
+    #[inline(never)]
+    fn set_tx_node(&mut self, tx_node: Option<TxNode>, now: Instant) {
+        if self.own.get() != tx_node {
+            // The frames that wait bear an id that is another node's.
+            self.etch.revoke(now, |outgoing| outgoing.tag != SERVICES);
+            self.revoke_hard(tx_node, now);
+        }
+        self.own = Own::new(tx_node);
+        self.layer.set_tx_node(tx_node);
+    }
+
+    /// As `revoke` of the ETCH, for the events that wait for their slot; one that is in the mailbox has until the end
+    /// of its window. Slots that the calendar gives to another TxNode than the new one are given up.
+    fn revoke_hard(&mut self, tx_node: Option<TxNode>, now: Instant) {
+        for at in 0..CHANNELS {
+            let tag = Tag(at as u8);
+            let Some(buffer) = self.layer.buffer_of(tag) else { continue };
+            let (waited, publisher) = self.hard.with(|buffers| buffers.recall(buffer));
+            let is_other = tx_node.is_some_and(|tx_node| publisher != Some(tx_node));
+            if is_other {
+                self.layer.forget_buffer(tag);
+                self.detach(Some(buffer), PUBLISHES);
+            }
+            if waited {
+                self.layer.note_departure(tag, false);
+            }
+            if waited || is_other {
+                self.raise(self.layer.subject(tag), ExceptionKind::IdentifierLost, now);
+            }
+        }
     }
 
     #[inline]

@@ -145,13 +145,16 @@ impl<
 > EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
 {
     /// A node in a segment with this calendar. Without a TxNode it publishes nothing; a service may give
-    /// it one. Δt_p is that of the [calendar](Calendar::priority_step).
+    /// it one. With services that [say when it has one](Services::GIVES_TX_NODE) it announces hard real-time
+    /// channels of this TxNode at once, but publishes only from then on. Δt_p is that of the
+    /// [calendar](Calendar::priority_step).
     pub const fn new(tx_node: Option<TxNode>, calendar: &'static Calendar, services: S, hard: H) -> Self {
         let map = PriorityMap::of_calendar(calendar);
+        let may_send_as = if S::GIVES_TX_NODE { None } else { tx_node };
         Self {
             calendar,
             own: Own::new(tx_node),
-            layer: EventLayer::new(tx_node, map),
+            layer: EventLayer::new(may_send_as, map),
             etch: Etch::new(map),
             seen: [Counters::NONE; SLOTS],
             exceptions: Exceptions::new(),

@@ -94,6 +94,18 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         }
     }
 
+    /// The HRT message buffer through which a channel is published, if it is hard real-time.
+    pub(crate) fn buffer_of(&self, tag: Tag) -> Option<BufferId> {
+        self.channels.get(usize::from(tag.0))?.as_ref()?.buffer
+    }
+
+    /// A hard real-time channel is not published by this node any more.
+    pub(crate) fn forget_buffer(&mut self, tag: Tag) {
+        if let Some(entry) = self.entry_mut(tag.0) {
+            entry.buffer = None;
+        }
+    }
+
     /// Subscribes to a channel. O(CHANNELS + SUBSCRIPTIONS).
     #[allow(clippy::indexing_slicing, reason = "the place was found by its number")]
     pub(crate) fn subscribe<C: Content>(

@@ -89,6 +89,9 @@ pub trait Services {
     /// Whether [`on_event`](Self::on_event) does anything. A constant, so that a node whose services do not
     /// watch events pays nothing for it.
     const WATCHES_EVENTS: bool = false;
+    /// Whether these services say when the node has its TxNode, by [`Request::TxNode`]. Until then the node sends
+    /// nothing but what they ask for, even if its TxNode is fixed: another node may have it.
+    const GIVES_TX_NODE: bool = false;
     /// An event of another node has arrived, on a soft or non real-time channel, whether this node takes part
     /// in it or not.
     fn on_event(&mut self, id: Id, received_at: Instant) {

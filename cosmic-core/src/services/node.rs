@@ -348,6 +348,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
 {
     const WATCHES_EVENTS: bool = B::WATCHES_EVENTS;
+    const GIVES_TX_NODE: bool = true;
 
     fn on_event(&mut self, id: Id, received_at: Instant) {
         if self.broker.on_event(received_at, id) {

@@ -158,6 +158,13 @@ impl<const N: usize> HrtBuffers<N> {
         replaced
     }
 
+    /// Takes back the event that waits for its slot. Returns whether there was one, and the node whose slots the
+    /// buffer has.
+    pub(crate) fn recall(&mut self, id: BufferId) -> (bool, Option<TxNode>) {
+        let Some(buffer) = self.buffer_mut(id.0) else { return (false, None) };
+        (core::mem::take(&mut buffer.fresh), Some(buffer.id.tx_node()))
+    }
+
     /// Fetches the event that became visible last, once.
     #[inline]
     pub fn take(&mut self, id: BufferId) -> Option<Delivery> {
