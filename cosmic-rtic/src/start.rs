@@ -2,6 +2,7 @@
 
 use cosmic_core::Capacity;
 use cosmic_core::can::ErrorCounters;
+use cosmic_core::event_half::HardAccess as _;
 use cosmic_core::plan::NodePlan;
 use cosmic_core::time::Duration;
 
@@ -90,6 +91,8 @@ pub fn start_with<T: System>(
 ) -> Parts<T> {
     let Storage { queues, hard } = storage;
     let hard: &'static HardCell<Buffers<T>> = hard;
+    // Services whose time never changes do not tell it later.
+    Hard::new(hard).with(|buffers| T::Capacity::set_clock(buffers, services.clock()));
     let ends = queues.split();
     let BoardParts { hard: mailbox, soft, non_real_time, outcomes, urgent, other, status, changes } =
         board.split();

@@ -23,9 +23,13 @@ pub const RX1: Interrupt = Interrupt::GPIO0_6;
 pub struct CanHardware {
     controller: Controller,
     outcomes: [Option<Outcome>; 3],
-    fifos: [Deque<Frame, 3>; 2],
-    overruns: u32,
+    fifos: [Deque<Frame, FIFO_DEPTH>; 2],
+    lost: [u32; 2],
+    sent: [u32; 3],
 }
+
+/// Frames that a receive FIFO holds.
+pub const FIFO_DEPTH: usize = 3;
 
 impl CanHardware {
     /// A controller on an idle bus.
@@ -34,7 +38,8 @@ impl CanHardware {
             controller: Controller::new(bit_rate),
             outcomes: [None; 3],
             fifos: [Deque::new(), Deque::new()],
-            overruns: 0,
+            lost: [0; 2],
+            sent: [0; 3],
         }
     }
 
@@ -60,9 +65,14 @@ impl CanHardware {
         self.fifos[fifo].pop_front()
     }
 
-    /// Received frames that were lost because their FIFO was full.
-    pub fn overruns(&self) -> u32 {
-        self.overruns
+    /// How many received frames were lost since the last call because the FIFO was full.
+    pub fn take_losses(&mut self, fifo: usize) -> u32 {
+        core::mem::take(&mut self.lost[fifo])
+    }
+
+    /// How many frames were sent from a mailbox.
+    pub fn sent(&self, mailbox: Mailbox) -> u32 {
+        self.sent[mailbox as usize]
     }
 
     /// When [`advance`](Self::advance) has to be called next.
@@ -79,7 +89,7 @@ impl CanHardware {
                     let (fifo, interrupt) =
                         if frame.id.priority() == Priority::HARD { (0, RX0) } else { (1, RX1) };
                     if self.fifos[fifo].push_back(frame).is_err() {
-                        self.overruns += 1;
+                        self.lost[fifo] += 1;
                     }
                     NVIC::pend(interrupt);
                 }
@@ -88,6 +98,7 @@ impl CanHardware {
     }
 
     fn set_outcome(&mut self, mailbox: Mailbox, outcome: Outcome) {
+        self.sent[mailbox as usize] += u32::from(outcome == Outcome::Sent);
         self.outcomes[mailbox as usize] = Some(outcome);
         NVIC::pend(TX);
     }

@@ -9,6 +9,7 @@
 //! standard error.
 #![no_std]
 
+pub mod board;
 pub mod controller;
 pub mod count;
 pub mod device;

@@ -40,6 +40,9 @@ pub trait Capacity: sealed::Sealed + 'static {
         hard: H,
     ) -> Self::Half<S, H>;
 
+    /// As [`HrtBuffers::set_clock`].
+    fn set_clock(buffers: &mut Self::Buffers, clock: GlobalClock);
+
     /// As [`Dispatcher::poll`].
     fn dispatch(
         dispatcher: &mut Self::Dispatcher,
@@ -98,6 +101,10 @@ impl<
         hard: H,
     ) -> Self::Half<S, H> {
         EventHalf::new(tx_node, calendar, services, hard)
+    }
+
+    fn set_clock(buffers: &mut Self::Buffers, clock: GlobalClock) {
+        buffers.set_clock(clock);
     }
 
     #[inline]

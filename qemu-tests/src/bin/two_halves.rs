@@ -1,17 +1,17 @@
-//! The two halves of a node as RTIC tasks: the calendar task is never delayed by the lower half.
+//! A node on the runtime as it is flashed: the calendar task is never delayed by the lower half.
 //!
 //! | task | priority | does |
 //! |---|---|---|
-//! | `wire`, `peer` | 7 | stand for the bus and another node; no part of a node |
+//! | `bus`, `peer` | 7 | stand for the bus and another node; no part of a node |
 //! | `calendar` | 6 | calendar dispatcher and TTCH |
-//! | `rx0` | 5 | hard real-time frames into their buffers |
-//! | `tx` | 4 | outcomes of the mailboxes |
-//! | `rx1` | 3 | other frames into the inbox |
-//! | `etch` | 2 | takes in what has arrived, keeps the mailboxes filled |
+//! | `urgent` | 5 | hard real-time frames into their buffers |
+//! | `outcomes` | 4 | outcomes of the mailboxes |
+//! | `other` | 3 | other frames into the inbox |
+//! | `events` | 2 | takes in what has arrived, keeps the mailboxes filled |
 //! | `application` | 1 | announces, publishes, subscribes |
 //!
 //! The application plays three acts. In the first the lower half has little to do. In the second it
-//! computes without a pause, holds the event-triggered half for half a millisecond at a time, and fills
+//! computes without a pause, holds the node for half a millisecond at a time, and fills
 //! the bus, as does the peer; the calendar task must not notice. In the third it does what no program may
 //! do, it turns interrupts off for 100 µs: to show that a delay, if there was one, would be seen.
 #![no_std]
@@ -23,41 +23,35 @@
     dispatchers = [GPIO0_0, GPIO0_1, GPIO0_2, GPIO0_3],
 )]
 mod app {
-    use core::cell::UnsafeCell;
-    use core::sync::atomic::{AtomicU8, Ordering};
+    use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
     use cosmic_core::Subject;
-    use cosmic_core::calendar::{Calendar, Segment, Slot};
-    use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
-    use cosmic_core::event_half::{Due, EventHalf, HardAccess, Input, Step, outcome, receive};
+    use cosmic_core::calendar::{Calendar as Plan, Segment, Slot};
+    use cosmic_core::can::{BitRate, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
     use cosmic_core::event_layer::{
-        Channel, Event, ExceptionKind, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy,
-        Publication, SoftAttributes, Subscription,
+        Channel, ExceptionKind, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes,
     };
-    use cosmic_core::network::hard::{self, Dispatcher, HrtBuffers};
-    use cosmic_core::time::{Duration, GlobalClock, Instant};
-    use heapless::Deque;
-    use qemu_tests::hardware::CanHardware;
-    use qemu_tests::mono::{self, Mono, Timebase as _, now};
+    use cosmic_core::plan::NodePlan;
+    use cosmic_core::time::Instant;
+    use cosmic_core::uid::NodeUid;
+    use cosmic_rtic::prelude::*;
+    use cosmic_rtic::{CalendarObserver, Observer, Observes, start_observed};
+    use qemu_tests::board::{Machine, peer_sends, run_bus, with_hardware};
+    use qemu_tests::mono::{Mono, now};
     use qemu_tests::{measured, pass, println};
-    use rtic::Mutex;
-    use rtic_sync::signal::Signal;
 
     const NODE: TxNode = TxNode::MIN;
     const PEER: TxNode = TxNode::MAX;
 
     const CYCLE: Duration = Duration::from_millis(10);
     const SLOTS: [Slot; 2] = [slot(Etag::HARD_FIRST, NODE, 1), slot(Etag::HARD_LAST, PEER, 3)];
-    const CALENDAR: Calendar = Calendar::checked(
-        Segment {
-            bit_rate: BitRate::MAX,
-            accuracy: Duration::from_micros(5),
-            // Of which the model of the bus, above all priorities, takes a good part.
-            release_jitter: Duration::from_micros(20),
-        },
-        CYCLE,
-        &SLOTS,
-    );
+    const SEGMENT: Segment = Segment {
+        bit_rate: BitRate::MAX,
+        accuracy: Duration::from_micros(5),
+        // Of which the model of the bus, above all priorities, takes a good part.
+        release_jitter: Duration::from_micros(20),
+    };
+    static CALENDAR: Plan = Plan::checked(SEGMENT, CYCLE, &SLOTS);
 
     const fn slot(etag: Etag, publisher: TxNode, phase_ms: u64) -> Slot {
         Slot {
@@ -85,6 +79,18 @@ mod app {
     )
     .with_etag(Etag::BOUND_LAST);
 
+    const PLAN: NodePlan = NodePlan {
+        name: "node",
+        uid: NodeUid::new(1).unwrap(),
+        tx_node: NODE,
+        sync: None,
+        filters: &[],
+        calendar: &CALENDAR,
+        seal: None,
+        publishes: &[],
+        subscribes: &[],
+    };
+
     /// How long the lower half holds its resources, in the second act.
     const LONG_CALL: Duration = Duration::from_micros(500);
     /// How long it turns interrupts off, in the third.
@@ -97,53 +103,81 @@ mod app {
     const BUSY: u8 = 1;
     const CRIMINAL: u8 = 2;
 
-    type Buffers = HrtBuffers<4>;
-    type Node = EventHalf<4, 4, 4, 32, 16, 16, (), Locked>;
-    /// What the interrupts and the calendar task hand to the event-triggered half, and when it happened.
-    type Inbox = Deque<(Input, Instant), 32>;
+    cosmic_core::capacity! {
+        Room { slots: 4, channels: 4, subscriptions: 4, events: 32, soft: 16, non_real_time: 16 }
+    }
+
+    /// The node. Local time is global time.
+    pub struct Tested;
+
+    impl System for Tested {
+        type Board = Machine;
+        type Capacity = Room;
+        type Services = ();
+        type Observer = Watcher;
+    }
+
+    /// Watches the calendar task only.
+    pub struct Watcher;
+
+    impl Observer for Watcher {
+        type Calendar = Punctuality;
+    }
+
+    impl<C> Observes<C> for Watcher {}
+
+    /// The latest that the calendar task has come to an instant, in nanoseconds, in each act.
+    static LATEST: [AtomicU32; 3] = [const { AtomicU32::new(0) }; 3];
+
+    /// Notes how late the calendar task is.
+    pub struct Punctuality;
+
+    impl CalendarObserver for Punctuality {
+        fn running(&mut self, runs: bool) {
+            let now = now();
+            if runs && now >= Instant::EPOCH + SLOTS[0].phase {
+                LATEST[usize::from(ACT.load(Ordering::Relaxed))].fetch_max(lateness(now), Ordering::Relaxed);
+            }
+        }
+    }
+
+    /// How long ago the last instant of the calendar was for which this node wakes.
+    fn lateness(now: Instant) -> u32 {
+        let [own, of_peer] = [&SLOTS[0], &SLOTS[1]];
+        let instants = [
+            own.phase,
+            own.phase + CALENDAR.slot_times(own).deadline + SEGMENT.release_jitter,
+            of_peer.phase,
+            of_peer.phase + CALENDAR.slot_times(of_peer).delivery,
+        ];
+        let in_cycle = now.since_epoch().as_ticks() % CYCLE.as_ticks();
+        let since = instants.map(|instant| in_cycle.checked_sub(instant.as_ticks()));
+        // Before the first of a cycle: the last one was in the cycle before.
+        let latest = since.into_iter().flatten().min();
+        latest.unwrap_or(in_cycle + CYCLE.as_ticks() - instants[3].as_ticks()) as u32
+    }
 
     #[shared]
     struct Shared {
-        node: Node,
-        inbox: Inbox,
-        hardware: CanHardware,
-        /// The latest that the calendar task has come to an instant, in each act.
-        latest: [Duration; 3],
+        node: Node<Tested>,
     }
 
     #[local]
     struct Local {
-        dispatcher: Dispatcher<4>,
+        urgent: Urgent<Tested>,
+        outcomes: Outcomes<Tested>,
+        other: Other<Tested>,
     }
 
-    /// Something has changed before the instant for which `wire` sleeps.
-    static WIRE: Signal<()> = Signal::new();
-    /// The same for `etch`.
-    static ETCH: Signal<()> = Signal::new();
-
-    #[init]
-    fn init(_: init::Context) -> (Shared, Local) {
+    #[init(local = [storage: Storage<Tested> = Storage::new()])]
+    fn init(cx: init::Context) -> (Shared, Local) {
         Mono::start();
-        Locked.with(|buffers| buffers.set_clock(GlobalClock::free_running()));
-        let mut node = Node::new(Some(NODE), &CALENDAR, (), Locked);
-        let channels = Channels {
-            hard: node.announce(&OF_NODE).unwrap(),
-            soft: node.announce(&SOFT).unwrap(),
-            bulk: node.announce(&BULK).unwrap(),
+        let parts = start_observed(Machine, &PLAN, cx.local.storage, Watcher, Punctuality);
+        let Ok(Parts { calendar, urgent, outcomes, other, events, node, .. }) = parts else {
+            panic!("these services need nothing of the plan");
         };
-        let from_peer = node.subscribe(&OF_PEER, Filter::ALL, Policy::Latest).unwrap();
-        wire::spawn().unwrap();
-        peer::spawn().unwrap();
-        calendar::spawn().unwrap();
-        etch::spawn().unwrap();
-        application::spawn(channels, from_peer).ok().unwrap();
-        let shared = Shared {
-            node,
-            inbox: Inbox::new(),
-            hardware: CanHardware::new(BitRate::MAX),
-            latest: [Duration::from_ticks(0); 3],
-        };
-        (shared, Local { dispatcher: Dispatcher::new(&CALENDAR) })
+        spawn!(bus(), peer(), calendar(calendar), events(events), application());
+        (Shared { node }, Local { urgent, outcomes, other })
     }
 
     #[idle]
@@ -151,164 +185,106 @@ mod app {
         qemu_tests::sleep()
     }
 
-    /// The bus: frames end at their instants.
-    #[task(priority = 7, shared = [hardware])]
-    async fn wire(mut cx: wire::Context) {
-        let mut changed = WIRE.take_reader();
-        loop {
-            let next = cx.shared.hardware.lock(|hardware| {
-                hardware.advance(now());
-                hardware.next_event()
-            });
-            let _ = Mono::timeout_at(mono::instant(next), changed.wait()).await;
-        }
+    #[task(priority = 7)]
+    async fn bus(_: bus::Context) {
+        run_bus().await
     }
 
     /// Another node: sends in its slot, and much else while this one is busy.
-    #[task(priority = 7, shared = [hardware])]
-    async fn peer(mut cx: peer::Context) {
-        let mut send = |priority, etag, payload| {
-            let frame = Frame::new(Id::new(priority, PEER, etag), payload);
-            cx.shared.hardware.lock(|hardware| hardware.peer_sends(frame, now()));
-            WIRE.writer().write(());
-        };
+    #[task(priority = 7)]
+    async fn peer(_: peer::Context) {
+        let send = |priority, etag, payload| peer_sends(Frame::new(Id::new(priority, PEER, etag), payload));
         for cycle in 0..u32::MAX {
             let start = Instant::EPOCH + CYCLE * cycle;
             // Some time after its ready instant, well before its latest start time.
-            let loaded = start + SLOTS[1].phase + Duration::from_micros(50);
-            Mono::delay_until(mono::instant(loaded)).await;
+            Machine::delay_until(start + SLOTS[1].phase + Duration::from_micros(50)).await;
             send(Priority::HARD, SLOTS[1].etag, Payload::full(u64::from(cycle).to_be_bytes()));
             let mut at = start + Duration::from_millis(4);
             while ACT.load(Ordering::Relaxed) != IDLE && at < start + CYCLE {
-                Mono::delay_until(mono::instant(at)).await;
+                Machine::delay_until(at).await;
                 send(Priority::SOFT_LEAST_URGENT, Etag::BOUND_FIRST, Payload::full([0; 8]));
                 at = at + Duration::from_micros(320);
             }
         }
     }
 
-    #[task(priority = 6, local = [dispatcher], shared = [hardware, inbox, latest])]
-    async fn calendar(mut cx: calendar::Context) {
-        loop {
-            match Locked.with(|buffers| cx.local.dispatcher.poll(now(), buffers)) {
-                hard::CalendarStep::Command(command) => execute(command, &mut cx.shared.hardware),
-                hard::CalendarStep::Notify(buffer) => {
-                    post(Input::Notice(buffer), now(), &mut cx.shared.inbox)
-                }
-                hard::CalendarStep::Continue => {}
-                hard::CalendarStep::SleepUntil(instant) => {
-                    Mono::delay_until(mono::instant(instant)).await;
-                    let late = now().saturating_since(instant);
-                    let act = usize::from(ACT.load(Ordering::Relaxed));
-                    cx.shared.latest.lock(|latest| latest[act] = latest[act].max(late));
-                }
-            }
-        }
+    #[task(priority = 6)]
+    async fn calendar(_: calendar::Context, mut part: Calendar<Tested>) {
+        part.run().await
     }
 
-    #[task(binds = GPIO0_4, priority = 5, shared = [hardware])]
-    fn rx0(mut cx: rx0::Context) {
-        let received_at = now();
-        while let Some(frame) = cx.shared.hardware.lock(|hardware| hardware.receive(0)) {
-            assert_eq!(receive(&frame, received_at, &mut Locked), None);
-        }
+    #[task(binds = GPIO0_4, local = [urgent], priority = 5)]
+    fn urgent(cx: urgent::Context) {
+        cx.local.urgent.run();
     }
 
-    #[task(binds = GPIO0_5, priority = 4, shared = [hardware, inbox])]
-    fn tx(mut cx: tx::Context) {
-        let at = now();
-        for mailbox in Mailbox::ALL {
-            let taken = cx.shared.hardware.lock(|hardware| hardware.take_outcome(mailbox));
-            let Some(what) = taken else { continue };
-            if let Some(input) = outcome(mailbox, what, at, &mut Locked) {
-                post(input, at, &mut cx.shared.inbox);
-            }
-        }
+    #[task(binds = GPIO0_5, local = [outcomes], priority = 4)]
+    fn outcomes(cx: outcomes::Context) {
+        cx.local.outcomes.run();
     }
 
-    #[task(binds = GPIO0_6, priority = 3, shared = [hardware, inbox])]
-    fn rx1(mut cx: rx1::Context) {
-        let received_at = now();
-        while let Some(frame) = cx.shared.hardware.lock(|hardware| hardware.receive(1)) {
-            if let Some(input) = receive(&frame, received_at, &mut Locked) {
-                post(input, received_at, &mut cx.shared.inbox);
-            }
-        }
+    #[task(binds = GPIO0_6, local = [other], priority = 3)]
+    fn other(cx: other::Context) {
+        cx.local.other.run();
     }
 
-    #[task(priority = 2, shared = [hardware, inbox, node])]
-    async fn etch(mut cx: etch::Context) {
-        let mut changed = ETCH.take_reader();
-        loop {
-            while let Some((input, at)) = cx.shared.inbox.lock(|inbox| inbox.pop_front()) {
-                cx.shared.node.lock(|node| node.on_input(&input, at));
-            }
-            // One lock around all, so that commands reach the mailboxes in their order.
-            let next = cx.shared.node.lock(|node| {
-                loop {
-                    match node.poll(now()) {
-                        Step::Command(command) => execute(command, &mut cx.shared.hardware),
-                        Step::SleepUntil(instant) => return instant,
-                    }
-                }
-            });
-            let _ = Mono::timeout_at(mono::instant(next), changed.wait()).await;
-        }
+    #[task(shared = [node], priority = 2)]
+    async fn events(cx: events::Context, mut part: Events) {
+        part.run(cx.shared.node).await
     }
 
-    #[task(priority = 1, shared = [hardware, latest, node])]
-    async fn application(mut cx: application::Context, channels: Channels, from_peer: Subscription<u64>) {
+    #[task(shared = [node], priority = 1)]
+    async fn application(mut cx: application::Context) {
+        let node = &mut cx.shared.node;
+        let hard = Publisher::announce(&OF_NODE, node).unwrap();
+        let soft = Publisher::announce(&SOFT, node).unwrap();
+        let bulk = Publisher::announce(&BULK, node).unwrap();
+        let from_peer = Subscriber::subscribe(&OF_PEER, Policy::Latest, node).unwrap();
         let mut report = Report::default();
         for cycle in 0..3 * CYCLES_PER_ACT {
             let act = (cycle / CYCLES_PER_ACT) as u8;
             ACT.store(act, Ordering::Relaxed);
-            let event = Event::new(u64::from(cycle));
-            let due = cx.shared.node.lock(|node| node.publish(now(), &channels.hard, &event).unwrap());
-            assert!(due == Due::NOTHING, "a hard event waits for its slot");
+            hard.publish(u64::from(cycle), node).unwrap();
             let end = Instant::EPOCH + CYCLE * (cycle + 1);
             while act == BUSY && now() < end.saturating_sub(LONG_CALL * 2) {
-                cx.shared.node.lock(|node| long_call(node, &channels, &mut cx.shared.hardware));
-                ETCH.writer().write(());
+                node.lock(|node| long_call([&soft, &bulk], &mut Held(node)));
             }
             while act == CRIMINAL && now() < end.saturating_sub(CRIME * 2) {
                 cortex_m::interrupt::free(|_| compute_until(now() + CRIME));
             }
-            Mono::delay_until(mono::instant(end)).await;
-            while let Some(delivered) = cx.shared.node.lock(|node| node.next(&from_peer)) {
+            Machine::delay_until(end).await;
+            while let Some(delivered) = from_peer.try_next(node) {
                 assert_eq!(delivered.publisher, PEER);
                 assert_eq!(delivered.content, u64::from(cycle));
                 report.delivered += 1;
             }
             if (cycle + 1) % CYCLES_PER_ACT == 0 {
-                let latest = cx.shared.latest.lock(|latest| latest[usize::from(act)]);
-                let sent = Locked.with(|buffers| {
-                    let buffer = buffers.find(SLOTS[0].etag, NODE).unwrap();
-                    buffers.counters(buffer).unwrap().sent
-                });
-                cx.shared.node.lock(|node| report.print(act, latest, sent, node));
+                node.lock(|node| report.print(act, node));
             }
         }
-        let overruns = cx.shared.hardware.lock(|hardware| hardware.overruns());
-        measured!("{} frames of the peer lost in FIFOs", overruns);
+        let lost = node.lock(|node| node.exceptions(ExceptionKind::InputLost));
+        measured!("{} frames of the peer lost in FIFOs", lost);
         pass()
     }
 
-    /// What the application publishes.
-    pub struct Channels {
-        hard: Publication<u64>,
-        soft: Publication<u64>,
-        bulk: Publication<u64>,
+    /// A node that is locked already, for calls that lock it.
+    struct Held<'a>(&'a mut Node<Tested>);
+
+    impl Mutex for Held<'_> {
+        type T = Node<Tested>;
+
+        fn lock<R>(&mut self, work: impl FnOnce(&mut Self::T) -> R) -> R {
+            work(self.0)
+        }
     }
 
-    /// A long call in the lower half: it fills the queues and computes, all the while with the
-    /// event-triggered half in its hands.
-    fn long_call(node: &mut Node, channels: &Channels, hardware: &mut impl Mutex<T = CanHardware>) {
+    /// A long call in the lower half: it fills the queues and computes, all the while with the node in its
+    /// hands.
+    fn long_call(publishers: [&Publisher<u64>; 2], node: &mut Held<'_>) {
         let start = now();
-        for publication in [&channels.soft, &channels.bulk] {
+        for publisher in publishers {
             // The last is refused: the queue is full.
-            while let Ok(due) = node.publish(start, publication, &Event::new(0)) {
-                due.command().into_iter().for_each(|command| execute(command, hardware));
-            }
+            while publisher.publish(0, node).is_ok() {}
         }
         compute_until(start + LONG_CALL);
     }
@@ -316,36 +292,6 @@ mod app {
     fn compute_until(end: Instant) {
         while now() < end {
             core::hint::spin_loop();
-        }
-    }
-
-    fn execute(command: Command, hardware: &mut impl Mutex<T = CanHardware>) {
-        hardware.lock(|hardware| hardware.execute(command, now()));
-        WIRE.writer().write(());
-    }
-
-    fn post(input: Input, at: Instant, inbox: &mut impl Mutex<T = Inbox>) {
-        assert!(inbox.lock(|inbox| inbox.push_back((input, at))).is_ok(), "the inbox is full");
-        ETCH.writer().write(());
-    }
-
-    /// The message buffers of the node.
-    static BUFFERS: BufferCell = BufferCell(UnsafeCell::new(Buffers::new(GlobalClock::unsynchronised())));
-
-    struct BufferCell(UnsafeCell<Buffers>);
-
-    // SAFETY: `Locked::with` is the only access. It turns interrupts off, and there is one processor, so no two
-    // accesses overlap; the core's closures do not call it again.
-    unsafe impl Sync for BufferCell {}
-
-    /// Access with interrupts off, for the time of a copy.
-    #[derive(Clone, Copy)]
-    pub struct Locked;
-
-    impl HardAccess<Buffers> for Locked {
-        fn with<R>(&mut self, access: impl FnOnce(&mut Buffers) -> R) -> R {
-            // SAFETY: as for `Sync`.
-            cortex_m::interrupt::free(|_| access(unsafe { &mut *BUFFERS.0.get() }))
         }
     }
 
@@ -359,15 +305,18 @@ mod app {
     }
 
     impl Report {
-        fn print(&mut self, act: u8, latest: Duration, sent: u32, node: &Node) {
+        fn print(&mut self, act: u8, node: &Node<Tested>) {
             let name = ["idle", "busy", "interrupts off"][usize::from(act)];
-            let in_time = latest <= CALENDAR.segment().release_jitter;
+            let latest = LATEST[usize::from(act)].load(Ordering::Relaxed);
+            let in_time = u64::from(latest) <= SEGMENT.release_jitter.as_ticks();
             println!("{}: calendar task {}", name, if in_time { "in time" } else { "delayed" });
-            measured!("{}: calendar task late by {} ns at most", name, latest.as_ticks());
+            measured!("{}: calendar task late by {} ns at most", name, latest);
             if act == CRIMINAL {
                 return;
             }
-            let soft = node.etch_counters().sent;
+            let sent = with_hardware(|hardware| hardware.sent(Mailbox::Hard));
+            let of = |channel: &Channel<u64>| node.channel_counters(channel.subject()).unwrap().sent;
+            let soft = of(&SOFT) + of(&BULK);
             println!("  hard events sent: {}", sent - self.sent_before);
             println!("  hard events delivered: {}", self.delivered - self.delivered_before);
             println!(
@@ -385,7 +334,6 @@ mod app {
                 assert_eq!(node.exceptions(kind), 0, "{kind:?}");
             }
             measured!("{}: {} soft events sent", name, soft - self.soft_before);
-            measured!("{}: {:?}", name, node.etch_counters());
             (self.delivered_before, self.sent_before, self.soft_before) = (self.delivered, sent, soft);
         }
     }
