@@ -55,7 +55,7 @@ pub use board::Board;
 pub use hard::Hard;
 #[cfg(feature = "defmt")]
 pub use log::Log;
-pub use messages::{Message, MessageError, MessagePublisher, MessageSubscriber};
+pub use messages::{Message, MessageError, MessagePublisher, MessageSubscriber, publish_message_every};
 pub use node::Node;
 pub use observer::{CalendarObserver, Observer, Observes};
 pub use start::{Parts, Storage, start, start_observed, start_with};
@@ -83,7 +83,8 @@ pub mod prelude {
     pub use crate::{
         Board, Calendar, Events, MessagePublisher, MessageSubscriber, Node, Other, Outcomes, Parts,
         Publisher, Status, Storage, Subscriber, System, Ticker, Urgent, before_slot, next_exception,
-        publish_every, publish_in_slots, report_exceptions, settled, spawn, synchronised,
+        publish_every, publish_in_slots, publish_message_every, report_exceptions, settled, spawn,
+        synchronised,
     };
     pub use cosmic_core::event_layer::{Depth, Policy};
     pub use cosmic_core::time::Duration;

@@ -1,6 +1,7 @@
 //! Messages longer than a frame: a task waits until one is complete, or has left the node. The observer is told of
 //! each of their frames, as of an event.
 
+use core::convert::Infallible;
 use core::future::poll_fn;
 use core::marker::PhantomData;
 use core::task::{Poll, Waker};
@@ -15,6 +16,7 @@ use cosmic_core::network::fragments::ReassemblyCounters;
 use cosmic_core::time::Duration;
 use rtic_core::Mutex;
 
+use crate::application::Ticker;
 use crate::board::Board as _;
 use crate::node::Node;
 use crate::observer::Observes;
@@ -147,6 +149,30 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C,
     /// Gives up the subscription, with what has arrived of messages.
     pub fn cancel<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
         node.lock(|node| node.cancel_subscription(&self.fragments, self.inner.into_subscription()));
+    }
+}
+
+/// Announces a channel and sends a message in each period, for ever: `next` makes it. One that is not sent is counted.
+///
+/// # Errors
+/// Only if the channel cannot be announced.
+pub async fn publish_message_every<T, C, N, const LEN: usize, const PUBLISHERS: usize>(
+    channel: &MessageChannel<C, LEN, PUBLISHERS>,
+    period: Duration,
+    node: &mut N,
+    mut next: impl FnMut(&mut N) -> C,
+) -> Result<Infallible, AnnounceError>
+where
+    T: System<Observer: Observes<Payload>>,
+    C: Content,
+    N: Mutex<T = Node<T>>,
+{
+    let mut publisher = MessagePublisher::announce(channel, node)?;
+    let mut ticker = Ticker::<T::Board>::every(period);
+    loop {
+        ticker.tick().await;
+        let content = next(node);
+        let _ = publisher.publish(&content, node).await;
     }
 }
 

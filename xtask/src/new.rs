@@ -146,13 +146,15 @@ mod tests {
     /// What the documentation promises: all of an application, in so many lines.
     #[test]
     fn an_application_has_at_most_60_lines() {
-        let scratch = Scratch::new("lines");
-        make(&Workspace::find().unwrap(), Example::Robot, &scratch.0).unwrap();
-        let applications: Vec<_> = fs::read_dir(scratch.0.join("src/bin")).unwrap().flatten().collect();
-        assert!(applications.len() >= 3);
-        for application in applications {
-            let lines = fs::read_to_string(application.path()).unwrap().lines().count();
-            assert!(lines <= 60, "{} has {lines} lines", application.path().display());
+        for (example, programs) in [(Example::Robot, 3), (Example::Rover, 6)] {
+            let scratch = Scratch::new("lines");
+            make(&Workspace::find().unwrap(), example, &scratch.0).unwrap();
+            let applications: Vec<_> = fs::read_dir(scratch.0.join("src/bin")).unwrap().flatten().collect();
+            assert_eq!(applications.len(), programs, "{example:?}");
+            for application in applications {
+                let lines = fs::read_to_string(application.path()).unwrap().lines().count();
+                assert!(lines <= 60, "{} has {lines} lines", application.path().display());
+            }
         }
     }
 

@@ -92,6 +92,26 @@ fn the_task_that_publishes_sleeps_until_a_frame_has_left_and_ends_with_the_last(
 }
 
 #[test]
+fn a_message_in_each_period() {
+    let Parts { node, mut events, mut outcomes, .. } = parts();
+    let node = RefCell::new(node);
+    let mut resource = Resource(&node);
+    let mut numbers = b'1'..;
+    let number = |_: &mut Resource<'_>| text(&[numbers.next().unwrap()]);
+    let period = Duration::from_micros(10);
+    let mut task = pin!(cosmic_rtic::publish_message_every(&LINES, period, &mut resource, number));
+    for (now, sent) in [(0, None), (9_999, None), (10_000, Some(b'1')), (20_000, Some(b'2'))] {
+        NOW.set(now);
+        run(task.as_mut());
+        if let Some(sent) = sent {
+            assert_eq!(send_loaded(&mut outcomes, &mut events, &node).payload.as_slice()[1], sent);
+            run(task.as_mut());
+        }
+        assert!(LOADED.take().is_empty(), "one message in a period");
+    }
+}
+
+#[test]
 fn a_message_that_cannot_be_published_says_so() {
     let Parts { node, .. } = parts();
     let node = RefCell::new(node);

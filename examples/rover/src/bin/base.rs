@@ -18,18 +18,18 @@ mod app {
     fn init(cx: init::Context) -> (Shared, Local) {
         let board = board(boards::resources!(cx.device), &NODE);
         let Parts { calendar, urgent, outcomes, status, other, events, node } = start(board, &NODE, cx.local.storage);
-        spawn!(calendar(calendar), events(events), exceptions(), steer(), reach(), write(), left(), right(), attitude(), gripper(), battery());
+        spawn!(calendar(calendar), events(events), exceptions(), steer(), reach(), write(), left(), right(), tilt(), grip(), power());
         (Shared { node }, Local { urgent, outcomes, status, other })
     }
 
     #[task(shared = [node], priority = 1)] async fn steer(cx: steer::Context) { super::steer(cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn reach(cx: reach::Context) { super::reach(cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn write(cx: write::Context) { super::write(cx.shared.node).await }
-    #[task(shared = [node], priority = 1)] async fn left(cx: left::Context) { super::left(cx.shared.node).await }
-    #[task(shared = [node], priority = 1)] async fn right(cx: right::Context) { super::right(cx.shared.node).await }
-    #[task(shared = [node], priority = 1)] async fn attitude(cx: attitude::Context) { super::attitude(cx.shared.node).await }
-    #[task(shared = [node], priority = 1)] async fn gripper(cx: gripper::Context) { super::gripper(cx.shared.node).await }
-    #[task(shared = [node], priority = 1)] async fn battery(cx: battery::Context) { super::battery(cx.shared.node).await }
+    #[task(shared = [node], priority = 1)] async fn left(cx: left::Context) { follow(&left_wheel::CHANNEL, cx.shared.node).await }
+    #[task(shared = [node], priority = 1)] async fn right(cx: right::Context) { follow(&right_wheel::CHANNEL, cx.shared.node).await }
+    #[task(shared = [node], priority = 1)] async fn tilt(cx: tilt::Context) { follow(&attitude::CHANNEL, cx.shared.node).await }
+    #[task(shared = [node], priority = 1)] async fn grip(cx: grip::Context) { follow(&gripper::CHANNEL, cx.shared.node).await }
+    #[task(shared = [node], priority = 1)] async fn power(cx: power::Context) { follow(&battery::CHANNEL, cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn exceptions(cx: exceptions::Context) { report_exceptions(cx.shared.node).await }
 
     // The node, one task for each of its parts.
@@ -54,32 +54,6 @@ async fn reach(mut node: impl Mutex<T = Node<Rover>>) {
 }
 
 async fn write(mut node: impl Mutex<T = Node<Rover>>) {
-    let mut journal = MessagePublisher::announce(&journal::CHANNEL, &mut node).expect(PLANNED);
-    let mut ticker = Ticker::<Stm32F405>::every(journal::MIN_INTERARRIVAL);
-    loop {
-        ticker.tick().await;
-        let entry = Journal { at: 1_800_000_000, latitude: 52.14, longitude: 11.64, cells: [4_100; 6] };
-        let sent = journal.publish(&entry, &mut node).await;
-        sent.unwrap_or_else(|error| defmt::warn!("the journal was not sent: {}", error));
-    }
-}
-
-async fn left(node: impl Mutex<T = Node<Rover>>) {
-    follow(&left_wheel::CHANNEL, node).await;
-}
-
-async fn right(node: impl Mutex<T = Node<Rover>>) {
-    follow(&right_wheel::CHANNEL, node).await;
-}
-
-async fn attitude(node: impl Mutex<T = Node<Rover>>) {
-    follow(&attitude::CHANNEL, node).await;
-}
-
-async fn gripper(node: impl Mutex<T = Node<Rover>>) {
-    follow(&gripper::CHANNEL, node).await;
-}
-
-async fn battery(node: impl Mutex<T = Node<Rover>>) {
-    follow(&battery::CHANNEL, node).await;
+    let at = |_: &mut _| Journal { at: 1_800_000_000, latitude: 52.14, longitude: 11.64, cells: [4_100; 6] };
+    publish_message_every(&journal::CHANNEL, journal::MIN_INTERARRIVAL, &mut node, at).await.expect(PLANNED);
 }
