@@ -2,7 +2,7 @@
 //!
 //! The numbers are those of the node that needs most, so that all nodes of a cluster share one type.
 
-use crate::cluster::{Channel, Class, Cluster};
+use crate::cluster::{Channel, Cluster, PlannedClass};
 use crate::plan::Plan;
 use cosmic_core::network::soft::RESERVED;
 
@@ -58,7 +58,7 @@ impl Needs {
 
 /// As many events as can be valid at the same time.
 fn waiting_soft(channel: &Channel) -> usize {
-    if !matches!(channel.class, Class::Soft) {
+    if !matches!(channel.class, PlannedClass::Soft) {
         return 0;
     }
     let period = channel.recurrence.span().as_ticks().max(1);
@@ -68,7 +68,11 @@ fn waiting_soft(channel: &Channel) -> usize {
 }
 
 fn waiting_non_real_time(channel: &Channel) -> usize {
-    if matches!(channel.class, Class::NonRealTime { .. }) { EVENTS_OF_A_NON_REAL_TIME_CHANNEL } else { 0 }
+    if matches!(channel.class, PlannedClass::NonRealTime { .. }) {
+        EVENTS_OF_A_NON_REAL_TIME_CHANNEL
+    } else {
+        0
+    }
 }
 
 /// No capacity is less.

@@ -4,7 +4,7 @@
 //! bit, occurrences are written out one by one over a whole cycle and looked at in order of time. What it
 //! finds wrong would be a fault of the planner.
 
-use crate::cluster::{Class, Cluster, Recurrence};
+use crate::cluster::{Cluster, PlannedClass, Recurrence};
 use crate::plan::{Plan, PlannedSlot};
 
 /// Checks every rule.
@@ -77,7 +77,7 @@ fn needed(cluster: &Cluster, planned: &PlannedSlot, bit: u64) -> u64 {
     let bits = match planned.pool {
         None => {
             let degree = match cluster.channels[planned.channel].class {
-                Class::Hard { omission_degree, .. } => u64::from(omission_degree),
+                PlannedClass::Hard { omission_degree, .. } => u64::from(omission_degree),
                 _ => 0,
             };
             let frame = frame_bits(bytes(planned.channel));
@@ -101,7 +101,7 @@ fn name(cluster: &Cluster, planned: &PlannedSlot) -> String {
 fn every_slot_is_there(cluster: &Cluster, plan: &Plan, faults: &mut Vec<String>) {
     let cycle = plan.cycle().as_ticks();
     for (at, channel) in cluster.channels.iter().enumerate() {
-        if !matches!(channel.class, Class::Hard { .. }) {
+        if !matches!(channel.class, PlannedClass::Hard { .. }) {
             continue;
         }
         for (node, _) in cluster.nodes.iter().enumerate().filter(|(_, node)| node.publishes.contains(&at)) {
@@ -140,7 +140,7 @@ fn windows_are_apart(cycle: u64, windows: &[Window], faults: &mut Vec<String>) {
 fn wishes_are_kept(cluster: &Cluster, windows: &[Window], cycle: u64, faults: &mut Vec<String>) {
     for window in windows {
         let channel = &cluster.channels[window.channel];
-        let Class::Hard { wishes, .. } = &channel.class else { continue };
+        let PlannedClass::Hard { wishes, .. } = &channel.class else { continue };
         let period = channel.recurrence.span().as_ticks();
         let in_period = window.from % period;
         let late = window.to - (window.from - in_period);

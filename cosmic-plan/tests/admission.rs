@@ -86,7 +86,7 @@ fn with<'a>(cluster: &Cluster, asks: impl Iterator<Item = &'a Ask>) -> Cluster {
     let like = all
         .channels
         .iter()
-        .find(|channel| channel.class == cosmic_plan::cluster::Class::Soft)
+        .find(|channel| channel.class == cosmic_plan::cluster::PlannedClass::Soft)
         .unwrap()
         .clone();
     for ask in asks {

@@ -1,7 +1,7 @@
 //! Properties of whole plans, over random clusters.
 
 use cosmic_plan::analysis::segment::assess;
-use cosmic_plan::cluster::{Class, Cluster};
+use cosmic_plan::cluster::{Cluster, PlannedClass};
 use cosmic_plan::document::Source;
 use cosmic_plan::plan::{Effort, NoPlan, plan};
 use cosmic_plan::verify::verify;
@@ -88,7 +88,7 @@ fn without(cluster: &Cluster, gone: usize) -> Cluster {
         node.publishes.retain(|channel| *channel != gone);
     }
     for channel in &mut fewer.channels {
-        if let Class::Hard { wishes, .. } = &mut channel.class {
+        if let PlannedClass::Hard { wishes, .. } = &mut channel.class {
             wishes.after = wishes.after.filter(|after| after.channel != gone);
         }
     }
@@ -120,7 +120,7 @@ proptest! {
         prop_assert!(verify(&twice_as_often, &plan).is_err());
         let mut moved = cluster.clone();
         let phase = plan.slots().iter().find(|slot| slot.channel == at).map(|slot| slot.slot.phase);
-        if let Class::Hard { wishes, .. } = &mut moved.channels[at].class {
+        if let PlannedClass::Hard { wishes, .. } = &mut moved.channels[at].class {
             wishes.phase = phase.map(|phase| phase + cosmic_core::time::Duration::from_micros(1));
         }
         // A slot that may be off its rhythm is not where it should be only beyond that.

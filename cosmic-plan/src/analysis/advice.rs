@@ -1,7 +1,7 @@
 //! What would help channels whose deadline is not proven.
 
 use super::segment::{Assessment, assess};
-use crate::cluster::{Class, Cluster, Recurrence};
+use crate::cluster::{Cluster, PlannedClass, Recurrence};
 use crate::plan::relax::{Relaxation, USUAL_RATES};
 use crate::plan::{Effort, Plan, plan};
 use crate::units::{show, show_rate};
@@ -93,7 +93,7 @@ fn candidates(cluster: &Cluster, assessment: &Assessment) -> Vec<Vec<Change>> {
     }
     // Who loads the bus most could come more rarely.
     let mut by_load: Vec<usize> = (0..cluster.channels.len()).collect();
-    by_load.retain(|channel| !matches!(cluster.channels[*channel].class, Class::Hard { .. }));
+    by_load.retain(|channel| !matches!(cluster.channels[*channel].class, PlannedClass::Hard { .. }));
     let span = |channel: usize| cluster.channels[channel].recurrence.span().as_ticks();
     let load = |channel: &usize| {
         (u64::from(cluster.channels[*channel].length) + 8) * 1_000_000_000 / span(*channel).max(1)

@@ -20,7 +20,7 @@ use super::fixed::Level;
 use super::frame::{arbitration_key, longest_frame_bits};
 use super::proof::{ChannelProof, Origin, Proof, Term, Verdict};
 use super::soft::{Rule, SoftBound, SoftBus, SoftStream};
-use crate::cluster::{Class, Cluster, Foreign};
+use crate::cluster::{Cluster, Foreign, PlannedClass};
 use crate::plan::found::Plan;
 use cosmic_core::can::{ERROR_RECOVERY_BITS, LONGEST_FRAME_BITS, Priority};
 use cosmic_core::time::Duration;
@@ -112,13 +112,13 @@ impl Traffic {
             for node in (0..cluster.nodes.len()).filter(|n| cluster.nodes[*n].publishes.contains(&at)) {
                 let stream = Stream { transmission: ours(channel.length), period, jitter };
                 match &channel.class {
-                    Class::Hard { .. } => {}
-                    Class::Soft => {
+                    PlannedClass::Hard { .. } => {}
+                    PlannedClass::Soft => {
                         let deadline = channel.deadline.unwrap_or(channel.recurrence.span()).as_ticks();
                         soft.push((at, node, SoftStream { stream, deadline }));
                     }
-                    Class::NonRealTime { importance } => {
-                        let priority = Class::priority_of(*importance);
+                    PlannedClass::NonRealTime { importance } => {
+                        let priority = PlannedClass::priority_of(*importance);
                         non_real_time.push((at, node, priority, frames_of(channel.length), stream));
                     }
                 }

@@ -1,7 +1,7 @@
 //! How far things could grow before something breaks.
 
 use super::segment::assess;
-use crate::cluster::{Class, Cluster};
+use crate::cluster::{Cluster, PlannedClass};
 use crate::plan::{Effort, plan};
 use cosmic_core::time::Duration;
 
@@ -24,7 +24,7 @@ pub fn growth(cluster: &Cluster, effort: &Effort<'_>) -> Vec<Growth> {
         .map(|channel| {
             effort.report("asking how far channels could grow");
             match cluster.channels[channel].class {
-                Class::Hard { .. } => Growth {
+                PlannedClass::Hard { .. } => Growth {
                     channel,
                     shortest_period: shortest_hard_period(cluster, channel, effort),
                     highest_omission_degree: highest_omission_degree(cluster, channel, effort),
@@ -47,7 +47,7 @@ pub fn common_growth(cluster: &Cluster, effort: &Effort<'_>) -> Option<u32> {
         let scale =
             |span: Duration| Duration::from_ticks((span.as_ticks() * 100 / u64::from(percent)).max(1));
         for channel in &mut changed.channels {
-            if !matches!(channel.class, Class::Hard { .. }) {
+            if !matches!(channel.class, PlannedClass::Hard { .. }) {
                 channel.recurrence = channel.recurrence.with_span(scale(channel.recurrence.span()));
             }
         }
@@ -56,7 +56,9 @@ pub fn common_growth(cluster: &Cluster, effort: &Effort<'_>) -> Option<u32> {
         }
         changed
     };
-    if cluster.channels.iter().all(|c| matches!(c.class, Class::Hard { .. })) && cluster.foreign.is_empty() {
+    if cluster.channels.iter().all(|c| matches!(c.class, PlannedClass::Hard { .. }))
+        && cluster.foreign.is_empty()
+    {
         return holds(cluster, effort).then_some(100);
     }
     largest(100, 10_000, |percent| holds(&faster(percent), effort))

@@ -33,9 +33,9 @@ use crate::units;
 use serde::Serialize;
 use std::collections::HashMap;
 
-/// A message.
+/// A CAN message in the sense of response-time analysis: frames with one identifier that come again and again.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct Message {
+pub struct CanMessage {
     /// Its name.
     pub name: String,
     /// Where it stands in arbitration: the smaller wins.
@@ -54,7 +54,7 @@ pub struct MessageSet {
     /// The faults.
     pub errors: ErrorModel,
     /// The messages, in the order of the file.
-    pub messages: Vec<Message>,
+    pub messages: Vec<CanMessage>,
 }
 
 /// What the analysis says of a message. Spans are in microseconds.
@@ -143,7 +143,7 @@ impl MessageSet {
     }
 }
 
-fn finding(message: &Message, level: &Level<'_>, bus: &Bus) -> Finding {
+fn finding(message: &CanMessage, level: &Level<'_>, bus: &Bus) -> Finding {
     let us = |ticks: u64| ticks as f64 / 1000.0;
     let exact = level.exact(&message.stream, bus);
     let applies = message.deadline <= message.stream.period;
@@ -277,7 +277,7 @@ fn read_errors(table: &Table<'_>, time: &Time<'_>) -> ErrorModel {
 }
 
 /// The message, and whether it has an id.
-fn read_message(table: &mut Table<'_>, at: usize, bit_rate: u32, time: &Time<'_>) -> (Message, bool) {
+fn read_message(table: &mut Table<'_>, at: usize, bit_rate: u32, time: &Time<'_>) -> (CanMessage, bool) {
     let name: Option<At<String>> = table.optional("name");
     let name = name.map_or_else(|| format!("message {at}"), |at| at.value);
     table.rename(format!("message.{name}"));
@@ -293,7 +293,7 @@ fn read_message(table: &mut Table<'_>, at: usize, bit_rate: u32, time: &Time<'_>
     let deadline = time.read(table, "deadline").map_or(stream.period, |at| at.value);
     table.finish();
     let key = id.as_ref().map_or(at as u64, |id| u64::from(arbitration_key(id.value, extended)));
-    (Message { name, key, stream, deadline }, id.is_some())
+    (CanMessage { name, key, stream, deadline }, id.is_some())
 }
 
 fn read_stream(table: &Table<'_>, extended: bool, bit_rate: u32, time: &Time<'_>) -> Stream {

@@ -138,7 +138,7 @@ pub struct Channel {
     /// After this span an event is worthless and is discarded.
     pub validity: Option<Duration>,
     /// The class with what only it has.
-    pub class: Class,
+    pub class: PlannedClass,
 }
 
 impl Channel {
@@ -152,7 +152,7 @@ impl Channel {
 
 /// The class of a channel.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub enum Class {
+pub enum PlannedClass {
     /// Delivered at its deadline, under up to `omission_degree` faults.
     Hard {
         /// How many omissions a slot tolerates.
@@ -164,12 +164,12 @@ pub enum Class {
     Soft,
     /// When the bus is free.
     NonRealTime {
-        /// 0 (most important) to [`Class::LEAST_IMPORTANT`].
+        /// 0 (most important) to [`PlannedClass::LEAST_IMPORTANT`].
         importance: u8,
     },
 }
 
-impl Class {
+impl PlannedClass {
     /// The least importance: the priorities behind configuration's are 251..=255.
     pub const LEAST_IMPORTANT: u8 = Priority::LEAST.get() - Priority::CONFIGURATION.get() - 1;
 
@@ -297,8 +297,8 @@ impl Cluster {
     /// How many faults a hard real-time channel's slots tolerate: each by itself, or with their pool.
     pub fn omission_degree(&self, channel: usize) -> Option<u8> {
         match (&self.channels[channel].class, self.pool_of(channel)) {
-            (Class::Hard { .. }, Some(pool)) => Some(self.pools[pool].faults),
-            (Class::Hard { omission_degree, .. }, None) => Some(*omission_degree),
+            (PlannedClass::Hard { .. }, Some(pool)) => Some(self.pools[pool].faults),
+            (PlannedClass::Hard { omission_degree, .. }, None) => Some(*omission_degree),
             _ => None,
         }
     }
@@ -309,7 +309,7 @@ impl Cluster {
         let mut changed = self.clone();
         if let Some(pool) = self.pool_of(channel) {
             changed.pools[pool].faults = degree;
-        } else if let Class::Hard { omission_degree, .. } = &mut changed.channels[channel].class {
+        } else if let PlannedClass::Hard { omission_degree, .. } = &mut changed.channels[channel].class {
             *omission_degree = degree;
         }
         changed

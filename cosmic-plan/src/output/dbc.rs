@@ -13,7 +13,7 @@
 //! Fields of the content are signals; of a channel without a content each byte is one. Events of more than 8 bytes
 //! travel in fragments, which no signal describes. Channels whose etag the broker gives have no identifier that is known here.
 
-use crate::cluster::{Channel, Class, Cluster, Foreign};
+use crate::cluster::{Channel, Cluster, Foreign, PlannedClass};
 use crate::contents::{ByteOrder, FieldLayout, FieldType, Layout};
 use cosmic_core::can::{Etag, Id, Payload, Priority};
 use std::fmt::Write as _;
@@ -77,7 +77,7 @@ fn messages(cluster: &Cluster, identifiers: Identifiers) -> Vec<DbcMessage<'_>> 
                 if publishers.len() > 1 {
                     name += &format!("_of_{}", node.name);
                 }
-                if matches!(channel.class, Class::Soft) && priority != Priority::SOFT_MOST_URGENT {
+                if matches!(channel.class, PlannedClass::Soft) && priority != Priority::SOFT_MOST_URGENT {
                     name += &format!("_p{}", priority.get());
                 }
                 messages.push(DbcMessage {
@@ -102,10 +102,10 @@ fn messages(cluster: &Cluster, identifiers: Identifiers) -> Vec<DbcMessage<'_>> 
 /// The priorities that frames of a channel may have, as far as they are listed.
 fn priorities(cluster: &Cluster, channel: &Channel, identifiers: Identifiers) -> Vec<Priority> {
     match &channel.class {
-        Class::Hard { .. } => vec![Priority::HARD],
-        Class::NonRealTime { importance } => vec![Class::priority_of(*importance)],
-        Class::Soft if identifiers == Identifiers::One => vec![Priority::SOFT_MOST_URGENT],
-        Class::Soft => (Priority::SOFT_MOST_URGENT.get()..=least_urgent(cluster, channel).get())
+        PlannedClass::Hard { .. } => vec![Priority::HARD],
+        PlannedClass::NonRealTime { importance } => vec![PlannedClass::priority_of(*importance)],
+        PlannedClass::Soft if identifiers == Identifiers::One => vec![Priority::SOFT_MOST_URGENT],
+        PlannedClass::Soft => (Priority::SOFT_MOST_URGENT.get()..=least_urgent(cluster, channel).get())
             .map(Priority::new)
             .collect(),
     }
@@ -126,7 +126,7 @@ fn comment(cluster: &Cluster, channel: &Channel, identifiers: Identifiers) -> St
     if let Some(doc) = cluster.layout_of(channel).and_then(|layout| layout.doc.as_ref()) {
         text = format!("{doc} {text}");
     }
-    if matches!(channel.class, Class::Soft) && identifiers == Identifiers::One {
+    if matches!(channel.class, PlannedClass::Soft) && identifiers == Identifiers::One {
         let last = least_urgent(cluster, channel).get();
         text += &format!(
             " Its priority (bits 28..21) varies from 1 to {last}: compare bits 13..0 alone, or use the file \

@@ -2,7 +2,7 @@
 
 use crate::analysis::proof::ChannelProof;
 use crate::analysis::segment::Assessment;
-use crate::cluster::{Class, Cluster};
+use crate::cluster::{Cluster, PlannedClass};
 use crate::plan::{Plan, PlannedSlot};
 use crate::units::{microseconds, show};
 use serde_json::{Value, json};
@@ -60,7 +60,7 @@ fn slot_reasons(cluster: &Cluster, plan: &Plan, planned: &PlannedSlot) -> Vec<St
         show(slot.phase + planned.times.deadline),
         show(slot.phase + planned.times.delivery)
     )];
-    if let Class::Hard { wishes, .. } = &cluster.channels[planned.channel].class {
+    if let PlannedClass::Hard { wishes, .. } = &cluster.channels[planned.channel].class {
         if let Some(phase) = wishes.phase {
             reasons.push(format!("the file fixes its phase at {}", show(phase)));
         }

@@ -3,7 +3,7 @@
 
 use super::svg;
 use crate::analysis::segment::Assessment;
-use crate::cluster::{Channel, Class, Cluster, Recurrence};
+use crate::cluster::{Channel, Cluster, PlannedClass, Recurrence};
 use crate::contents::{ByteOrder, FieldLayout, Layout};
 use crate::plan::Plan;
 use crate::units::{show, show_rate};
@@ -131,9 +131,9 @@ fn write_channels(out: &mut String, cluster: &Cluster, assessment: &Assessment) 
 
 fn class_of(channel: &Channel) -> String {
     match &channel.class {
-        Class::Hard { omission_degree, .. } => format!("HRT, k = {omission_degree}"),
-        Class::Soft => "SRT".to_owned(),
-        Class::NonRealTime { importance } => format!("NRT, importance {importance}"),
+        PlannedClass::Hard { omission_degree, .. } => format!("HRT, k = {omission_degree}"),
+        PlannedClass::Soft => "SRT".to_owned(),
+        PlannedClass::NonRealTime { importance } => format!("NRT, importance {importance}"),
     }
 }
 

@@ -3,7 +3,7 @@
 //! The module needs nothing but Python itself. Fields with a scale hold what they mean, not the number on the wire: a
 //! float, or an exact `Decimal` where the number has more digits than a float.
 
-use crate::cluster::{Class, Cluster};
+use crate::cluster::{Cluster, PlannedClass};
 use crate::contents::{ByteOrder, FieldLayout, FieldType, Layout};
 use cosmic_core::can::Priority;
 use std::fmt::Write as _;
@@ -183,9 +183,9 @@ fn write_tables(out: &mut String, cluster: &Cluster) -> std::fmt::Result {
     writeln!(out, "}}\n\n# Of each channel the priority under which the DBC file lists it.\n_LISTED = {{")?;
     for channel in &cluster.channels {
         let priority = match &channel.class {
-            Class::Hard { .. } => Priority::HARD,
-            Class::Soft => Priority::SOFT_MOST_URGENT,
-            Class::NonRealTime { importance } => Class::priority_of(*importance),
+            PlannedClass::Hard { .. } => Priority::HARD,
+            PlannedClass::Soft => Priority::SOFT_MOST_URGENT,
+            PlannedClass::NonRealTime { importance } => PlannedClass::priority_of(*importance),
         };
         writeln!(out, "    \"{}\": {},", channel.name, priority.get())?;
     }

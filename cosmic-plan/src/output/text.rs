@@ -3,7 +3,7 @@
 use crate::analysis::proof::Origin;
 use crate::analysis::segment::Assessment;
 use crate::analysis::sensitivity::Growth;
-use crate::cluster::{Class, Cluster};
+use crate::cluster::{Cluster, PlannedClass};
 use crate::plan::relax::Relaxation;
 use crate::plan::{Method, NoPlan, Plan, PlannedSlot};
 use crate::units::{microseconds, show, show_rate};
@@ -285,7 +285,7 @@ pub fn pool_effect(cluster: &Cluster, plan: &Plan, pool: usize) -> Option<PoolEf
     let slots: Vec<&PlannedSlot> = plan.slots().iter().filter(|slot| slot.pool == Some(pool)).collect();
     let shared = slots.first()?.times.delivery;
     let degree = |planned: &PlannedSlot| match cluster.channels[planned.channel].class {
-        Class::Hard { omission_degree, .. } => omission_degree,
+        PlannedClass::Hard { omission_degree, .. } => omission_degree,
         _ => 0,
     };
     let alone = |planned: &&PlannedSlot| {

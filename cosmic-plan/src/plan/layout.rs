@@ -2,7 +2,7 @@
 
 use super::found::{Method, Plan, PlannedSlot};
 use super::request::{Item, Link, Request, Spacing, gcd, ticks};
-use crate::cluster::{Class, Cluster, Recurrence, Wishes};
+use crate::cluster::{Cluster, PlannedClass, Recurrence, Wishes};
 use cosmic_core::calendar::{Slot, SlotTimes};
 use cosmic_core::can::{ERROR_RECOVERY_BITS, Etag, TxNode};
 use cosmic_core::time::Duration;
@@ -116,14 +116,14 @@ fn publishers(cluster: &Cluster, channel: usize) -> impl Iterator<Item = usize> 
 
 fn omission_degree(cluster: &Cluster, channel: usize) -> u8 {
     match &cluster.channels[channel].class {
-        Class::Hard { omission_degree, .. } => *omission_degree,
+        PlannedClass::Hard { omission_degree, .. } => *omission_degree,
         _ => 0,
     }
 }
 
 fn wishes(cluster: &Cluster, channel: usize) -> Wishes {
     match &cluster.channels[channel].class {
-        Class::Hard { wishes, .. } => wishes.clone(),
+        PlannedClass::Hard { wishes, .. } => wishes.clone(),
         _ => Wishes::default(),
     }
 }

@@ -19,7 +19,7 @@ pub mod relax;
 pub mod request;
 mod spread;
 
-use crate::cluster::{Class, Cluster};
+use crate::cluster::{Cluster, PlannedClass};
 use conflict::Conflict;
 use cosmic_core::time::Duration;
 pub use effort::Effort;
@@ -181,7 +181,8 @@ fn widened(cluster: &Cluster, layout: &Layout, mut best: Plan, least: f64) -> Pl
 /// How near the worst bound comes to its deadline, as a share; beyond 1 it misses.
 fn strain(cluster: &Cluster, plan: &Plan) -> f64 {
     let assessment = crate::analysis::segment::assess(cluster, plan);
-    let event_triggered = |channel: usize| !matches!(cluster.channels[channel].class, Class::Hard { .. });
+    let event_triggered =
+        |channel: usize| !matches!(cluster.channels[channel].class, PlannedClass::Hard { .. });
     let channels = assessment.channels.iter().filter(|c| event_triggered(c.channel)).map(|c| &c.proof);
     let shares = channels.chain(&assessment.foreign).filter_map(|proof| {
         let deadline = proof.deadline?.as_ticks() as f64;
@@ -224,7 +225,7 @@ fn run_exact(request: &request::Request, effort: &Effort<'_>) -> exact::Answer {
 
 /// How many hard real-time channels there are.
 pub fn hard_channels(cluster: &Cluster) -> impl Iterator<Item = usize> + '_ {
-    let hard = |at: &usize| matches!(cluster.channels[*at].class, Class::Hard { .. });
+    let hard = |at: &usize| matches!(cluster.channels[*at].class, PlannedClass::Hard { .. });
     (0..cluster.channels.len()).filter(hard)
 }
 

@@ -2,7 +2,7 @@
 
 use super::conflict::Conflict;
 use super::{Effort, NoPlan, is_plannable, plan};
-use crate::cluster::{Class, Cluster, Wishes};
+use crate::cluster::{Cluster, PlannedClass, Wishes};
 use crate::units::{show, show_rate};
 use cosmic_core::can::BitRate;
 use cosmic_core::time::Duration;
@@ -38,7 +38,7 @@ impl Change {
             Self::Wishes { channel } => {
                 let mut changed = cluster.clone();
                 changed.channels[channel].deadline = None;
-                if let Class::Hard { wishes, .. } = &mut changed.channels[channel].class {
+                if let PlannedClass::Hard { wishes, .. } = &mut changed.channels[channel].class {
                     *wishes = Wishes::default();
                 }
                 changed

@@ -311,11 +311,11 @@ fn cantools_decodes_every_frame() {
 /// All priorities that frames of a channel may have on the bus: computed as the middleware does, at all instants from
 /// publication to the deadline and beyond.
 fn priorities(cluster: &Cluster, channel: usize) -> Vec<Priority> {
-    use cosmic_plan::cluster::Class;
+    use cosmic_plan::cluster::PlannedClass;
     match &cluster.channels[channel].class {
-        Class::Hard { .. } => vec![Priority::HARD],
-        Class::NonRealTime { importance } => vec![Class::priority_of(*importance)],
-        Class::Soft => {
+        PlannedClass::Hard { .. } => vec![Priority::HARD],
+        PlannedClass::NonRealTime { importance } => vec![PlannedClass::priority_of(*importance)],
+        PlannedClass::Soft => {
             let deadline = cluster.channels[channel].deadline.unwrap().as_ticks();
             let step = cluster.priority_step.as_ticks();
             let mut all: Vec<u8> =

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 /// How a frame gets its identifier.
 #[derive(Clone, Copy, PartialEq, Debug)]
-pub(crate) enum Class {
+pub(crate) enum Naming {
     /// It has one.
     Fixed { extended: bool, id: u32 },
     /// By its deadline: the identifier's lower 21 bits stand here.
@@ -20,7 +20,7 @@ pub(crate) enum Class {
 pub(crate) struct Source {
     pub(crate) node: usize,
     pub(crate) mailbox: usize,
-    pub(crate) class: Class,
+    pub(crate) naming: Naming,
     pub(crate) bytes: usize,
     /// (nominal instant, instant of publication), in order.
     pub(crate) releases: Vec<(u64, u64)>,
@@ -147,19 +147,19 @@ impl Bed {
 
     /// By which order a lane sends: deadline, then first in first out; or priority of the identifier.
     fn rank(&self, pending: &Pending) -> (u64, u64) {
-        match self.sources[pending.source].class {
-            Class::Soft { deadline, .. } => (pending.published + deadline, pending.published),
-            Class::Fixed { id, .. } => (u64::from(id), pending.published),
+        match self.sources[pending.source].naming {
+            Naming::Soft { deadline, .. } => (pending.published + deadline, pending.published),
+            Naming::Fixed { id, .. } => (u64::from(id), pending.published),
         }
     }
 
     fn priority(&self, pending: &Pending, now: u64) -> u8 {
-        match self.sources[pending.source].class {
-            Class::Soft { deadline, .. } => {
+        match self.sources[pending.source].naming {
+            Naming::Soft { deadline, .. } => {
                 let left = (pending.published + deadline).saturating_sub(now) / self.step;
                 u8::try_from(left.saturating_add(1).min(249)).unwrap_or(249)
             }
-            Class::Fixed { .. } => 0,
+            Naming::Fixed { .. } => 0,
         }
     }
 
@@ -169,7 +169,7 @@ impl Bed {
 
     fn promotion(&self, lane: &Lane) -> Option<u64> {
         let (pending, priority) = lane.loaded?;
-        let Class::Soft { deadline, .. } = self.sources[pending.source].class else { return None };
+        let Naming::Soft { deadline, .. } = self.sources[pending.source].naming else { return None };
         let ahead = (u64::from(priority).checked_sub(1)?) * self.step;
         (ahead > 0).then(|| (pending.published + deadline + 1).saturating_sub(ahead))
     }
@@ -214,10 +214,10 @@ impl Bed {
             let pending = self.lanes.get_mut(&(node, mailbox)).expect("it is there").queue.remove(first);
             let priority = self.priority(&pending, now);
             let source = &self.sources[pending.source];
-            let id: Id = match source.class {
-                Class::Fixed { extended: false, id } => StandardId::new(id as u16).expect("11 bits").into(),
-                Class::Fixed { extended: true, id } => ExtendedId::new(id).expect("29 bits").into(),
-                Class::Soft { tail, .. } => {
+            let id: Id = match source.naming {
+                Naming::Fixed { extended: false, id } => StandardId::new(id as u16).expect("11 bits").into(),
+                Naming::Fixed { extended: true, id } => ExtendedId::new(id).expect("29 bits").into(),
+                Naming::Soft { tail, .. } => {
                     ExtendedId::new(u32::from(priority) << 21 | tail).expect("29 bits").into()
                 }
             };

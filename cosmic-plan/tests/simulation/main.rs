@@ -7,7 +7,7 @@
 
 mod bed;
 
-use bed::{Bed, Class, Seen, Source};
+use bed::{Bed, Naming, Seen, Source};
 use cosmic_bus::{BitPosition, Fault, FaultModel, Filter, Rule};
 use cosmic_core::can::BitRate;
 use cosmic_plan::analysis::segment::assess;
@@ -134,7 +134,7 @@ fn fixed_priorities_stay_within_the_exact_bound() {
                     Source {
                         node: at,
                         mailbox: 2,
-                        class: Class::Fixed { extended: message.extended, id: message.id },
+                        naming: Naming::Fixed { extended: message.extended, id: message.id },
                         bytes: message.bytes,
                         releases: releases(&mut rng, first, message.period, message.jitter, end),
                         frames: 1,
@@ -213,32 +213,32 @@ fn sources(rng: &mut TestRng, cluster: &Cluster, plan: &Plan, end: u64, together
         let tail =
             u32::from(cluster.nodes[node].tx_node.get()) << 14 | u32::from(channel.etag.unwrap().get());
         let (period, jitter) = (channel.recurrence.span().as_ticks(), channel.jitter.as_ticks());
-        let (mailbox, class, releases, frames) = match &channel.class {
-            cluster::Class::Hard { .. } => {
+        let (mailbox, naming, releases, frames) = match &channel.class {
+            cluster::PlannedClass::Hard { .. } => {
                 let slot = &plan.slots().iter().find(|slot| slot.channel == at).expect("it has a slot").slot;
                 // A node's clock may be off, and its task late.
                 let off = rng.random_range(0..=15_000);
                 let ready = |turn: u64| slot.phase.as_ticks() + turn * period + off;
                 let all = (0..end / period).map(|turn| (ready(turn), ready(turn))).collect();
-                (0, Class::Fixed { extended: true, id: tail }, all, 1)
+                (0, Naming::Fixed { extended: true, id: tail }, all, 1)
             }
-            cluster::Class::Soft => {
+            cluster::PlannedClass::Soft => {
                 let first = if together { START } else { START + rng.random_range(0..period) };
                 let deadline = channel.deadline.unwrap().as_ticks();
                 let all = releases(rng, first, period, jitter, end);
-                (1, Class::Soft { tail, deadline }, all, 1)
+                (1, Naming::Soft { tail, deadline }, all, 1)
             }
-            cluster::Class::NonRealTime { importance } => {
+            cluster::PlannedClass::NonRealTime { importance } => {
                 let first = if together { START - 2_000 } else { START + rng.random_range(0..period) };
-                let priority = u32::from(cluster::Class::priority_of(*importance).get());
+                let priority = u32::from(cluster::PlannedClass::priority_of(*importance).get());
                 let frames =
                     if channel.length <= 8 { 1 } else { (u32::from(channel.length) + 2).div_ceil(7) };
                 let id = priority << 21 | tail;
-                (2, Class::Fixed { extended: true, id }, releases(rng, first, period, jitter, end), frames)
+                (2, Naming::Fixed { extended: true, id }, releases(rng, first, period, jitter, end), frames)
             }
         };
         let bytes = usize::from(channel.length.min(8));
-        sources.push(Source { node, mailbox, class, bytes, releases, frames });
+        sources.push(Source { node, mailbox, naming, bytes, releases, frames });
     }
     sources
 }
@@ -268,14 +268,14 @@ fn segments_stay_within_their_bounds() {
                 let observed = match channel.class {
                     // A frame is loaded up to 15 µs behind its ready instant here, and faults beyond the
                     // omission degree are not its matter.
-                    cluster::Class::Hard { .. } if faults > 1 => continue,
-                    cluster::Class::Hard { .. } | cluster::Class::Soft => seen.from_publication,
-                    cluster::Class::NonRealTime { .. } => seen.from_nominal,
+                    cluster::PlannedClass::Hard { .. } if faults > 1 => continue,
+                    cluster::PlannedClass::Hard { .. } | cluster::PlannedClass::Soft => seen.from_publication,
+                    cluster::PlannedClass::NonRealTime { .. } => seen.from_nominal,
                 };
                 assert!(observed <= bound, "seed {seed}, {}: {seen:?} beyond {bound}", channel.name);
                 match channel.class {
-                    cluster::Class::Soft if trial == 0 => soft.note(observed, bound),
-                    cluster::Class::NonRealTime { .. } if trial == 0 => slow.note(observed, bound),
+                    cluster::PlannedClass::Soft if trial == 0 => soft.note(observed, bound),
+                    cluster::PlannedClass::NonRealTime { .. } if trial == 0 => slow.note(observed, bound),
                     _ => {}
                 }
             }
@@ -309,7 +309,7 @@ fn a_pool_is_in_time_under_its_shared_budget_of_faults() {
                 Source {
                     node,
                     mailbox: 0,
-                    class: Class::Fixed { extended: true, id },
+                    naming: Naming::Fixed { extended: true, id },
                     bytes: usize::from(member.slot.len),
                     releases: vec![(loaded, loaded)],
                     frames: 1,
@@ -320,7 +320,7 @@ fn a_pool_is_in_time_under_its_shared_budget_of_faults() {
         sources.push(Source {
             node: members.len(),
             mailbox: 2,
-            class: Class::Fixed { extended: true, id: 0x1FFF_FFFF },
+            naming: Naming::Fixed { extended: true, id: 0x1FFF_FFFF },
             bytes: 8,
             releases: vec![(begin, begin)],
             frames: 40,

@@ -6,7 +6,7 @@ use cosmic_core::can::{BitRate, ErrorCounters, Etag, Frame, Priority, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::protocol::names_its_sender;
 use cosmic_core::time::{Duration, Instant};
-use cosmic_plan::cluster::Class;
+use cosmic_plan::cluster::PlannedClass;
 
 use crate::brokers::Brokers;
 use crate::channels::Channels;
@@ -339,7 +339,8 @@ impl Monitor {
         }
         let priority = frame.id.priority();
         let soft = priority != Priority::HARD && priority <= Priority::SOFT_LEAST_URGENT;
-        let is_soft = |(plan, channel): (&SegmentPlan, usize)| plan.channel(channel).class == Class::Soft;
+        let is_soft =
+            |(plan, channel): (&SegmentPlan, usize)| plan.channel(channel).class == PlannedClass::Soft;
         if !soft || !self.plan.as_ref().zip(channel).is_none_or(is_soft) {
             return;
         }

@@ -11,7 +11,7 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::time::Duration;
 use cosmic_core::{NodeUid, Subject};
-use cosmic_plan::cluster::{Channel, Class, Cluster, Node, Recurrence};
+use cosmic_plan::cluster::{Channel, Cluster, Node, PlannedClass, Recurrence};
 use cosmic_plan::contents::NotDecoded;
 use cosmic_plan::document::Source;
 use cosmic_plan::plan::{Effort, Plan, PlannedSlot, plan};
@@ -187,7 +187,7 @@ impl SegmentPlan {
         let planned = self.channel(at);
         let subject = Subject::new(planned.subject)?;
         let channel = match planned.class {
-            Class::Hard { .. } => {
+            PlannedClass::Hard { .. } => {
                 let attributes = HardAttributes {
                     period: planned.recurrence.span(),
                     periodic: matches!(planned.recurrence, Recurrence::Periodic(_)),
@@ -196,13 +196,13 @@ impl SegmentPlan {
                 let etag = planned.etag.filter(|etag| etag.is_hard())?;
                 return Some(declared::Channel::hard(subject, etag, attributes));
             }
-            Class::Soft => {
+            PlannedClass::Soft => {
                 let deadline = planned.deadline.unwrap_or(planned.recurrence.span());
                 let deadline = deadline.max(Duration::from_ticks(1));
                 let validity = planned.validity.unwrap_or(deadline).max(deadline);
                 declared::Channel::soft(subject, SoftAttributes { deadline, validity })
             }
-            Class::NonRealTime { importance } => {
+            PlannedClass::NonRealTime { importance } => {
                 let importance = Importance::new(importance)?;
                 let attributes = NonRealTimeAttributes { importance, validity: planned.validity };
                 declared::Channel::non_real_time(subject, attributes)
@@ -215,6 +215,6 @@ impl SegmentPlan {
     /// The deadline of a soft real-time event from its publication.
     pub(crate) fn soft_deadline(&self, channel: usize) -> Option<Duration> {
         let channel = self.channel(channel);
-        channel.deadline.filter(|_| channel.class == Class::Soft)
+        channel.deadline.filter(|_| channel.class == PlannedClass::Soft)
     }
 }

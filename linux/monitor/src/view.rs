@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use cosmic_core::Subject;
 use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::time::{Duration, Instant};
-use cosmic_plan::cluster::{Channel, Class as PlannedClass};
+use cosmic_plan::cluster::{Channel, PlannedClass};
 
 use crate::channels::{ChannelSeen, PublisherSeen};
 use crate::decode;

@@ -181,16 +181,18 @@ fn channels(cluster: &described::Cluster, number: usize, etag: Etag) -> Vec<Chan
     let channel = &cluster.channels[number];
     let publishers: Vec<_> = cluster.publishers(number).collect();
     let class = match (&channel.class, channel.deadline) {
-        (described::Class::Hard { .. }, _) => Promise::Hard,
-        (described::Class::Soft, Some(deadline)) => {
+        (described::PlannedClass::Hard { .. }, _) => Promise::Hard,
+        (described::PlannedClass::Soft, Some(deadline)) => {
             Promise::Soft { deadline, validity: channel.validity.unwrap_or(FOREVER) }
         }
         // A soft channel without a deadline has that of its period (`cosmic-plan`, the schema).
-        (described::Class::Soft, None) => {
+        (described::PlannedClass::Soft, None) => {
             let deadline = channel.recurrence.span();
             Promise::Soft { deadline, validity: channel.validity.unwrap_or(FOREVER) }
         }
-        (described::Class::NonRealTime { .. }, _) => Promise::NonRealTime { validity: channel.validity },
+        (described::PlannedClass::NonRealTime { .. }, _) => {
+            Promise::NonRealTime { validity: channel.validity }
+        }
     };
     let one = |publisher: &&described::Node| {
         let subscribers = cluster.subscribers(number).map(|node| node.tx_node);

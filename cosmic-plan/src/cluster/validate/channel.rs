@@ -3,7 +3,7 @@
 use super::{Checker, LONGEST_EVENT, Names, ZERO, name_of, recurrence, start_of};
 use crate::cluster::format::ChannelTable;
 use crate::cluster::values::{ClassName, Span};
-use crate::cluster::{After, Channel, Class, Wishes};
+use crate::cluster::{After, Channel, PlannedClass, Wishes};
 use crate::contents::Layout;
 use crate::document::At;
 use crate::units::show;
@@ -24,12 +24,14 @@ impl Checker<'_> {
             self.problem(&start_of(&table.place), field("deadline"), "is missing", help);
         }
         let class = match class_name {
-            ClassName::Hard => Class::Hard {
+            ClassName::Hard => PlannedClass::Hard {
                 omission_degree: table.omission_degree.as_ref().map_or(1, |at| at.value),
                 wishes: self.wishes(table, names, recurrence.span()),
             },
-            ClassName::Soft => Class::Soft,
-            ClassName::NonRealTime => Class::NonRealTime { importance: self.importance(table, &field) },
+            ClassName::Soft => PlannedClass::Soft,
+            ClassName::NonRealTime => {
+                PlannedClass::NonRealTime { importance: self.importance(table, &field) }
+            }
         };
         let most = if class_name == ClassName::NonRealTime { LONGEST_EVENT } else { Payload::MAX_LEN as u16 };
         let (length, content) = self.length(table, contents, most, &field);
@@ -91,10 +93,10 @@ impl Checker<'_> {
     }
 
     fn importance(&self, table: &ChannelTable, field: &dyn Fn(&str) -> String) -> u8 {
-        let Some(at) = &table.importance else { return Class::LEAST_IMPORTANT };
-        if at.value > Class::LEAST_IMPORTANT {
-            let what = format!("{} is above {}", at.value, Class::LEAST_IMPORTANT);
-            let help = format!("write 0 (most important) to {} (least)", Class::LEAST_IMPORTANT);
+        let Some(at) = &table.importance else { return PlannedClass::LEAST_IMPORTANT };
+        if at.value > PlannedClass::LEAST_IMPORTANT {
+            let what = format!("{} is above {}", at.value, PlannedClass::LEAST_IMPORTANT);
+            let help = format!("write 0 (most important) to {} (least)", PlannedClass::LEAST_IMPORTANT);
             self.problem(&at.place, field("importance"), what, help);
         }
         at.value

@@ -9,7 +9,7 @@ mod segment;
 use super::contents::Contents;
 use super::format::{self, ChannelTable, ClusterFile, NodeTable};
 use super::values::BindingName;
-use super::{Binding, Channel, Class, Cluster, Node, Pool, Wishes};
+use super::{Binding, Channel, Cluster, Node, PlannedClass, Pool, Wishes};
 use crate::analysis::errors::ErrorModel;
 use crate::document::{At, Log, Place, Problem, Problems, Source, nearest};
 use crate::units::show;
@@ -203,7 +203,7 @@ impl Checker<'_> {
         let mut bound =
             (Etag::BOUND_FIRST.get()..=Etag::BOUND_LAST.get()).rev().filter(|e| !given.contains(e));
         for (table, channel) in tables.iter().zip(channels) {
-            let is_hard = matches!(channel.class, Class::Hard { .. });
+            let is_hard = matches!(channel.class, PlannedClass::Hard { .. });
             channel.etag = match &table.etag {
                 Some(at) => {
                     Etag::new(at.value).filter(|etag| !etag.is_reserved() && etag.is_hard() == is_hard)
@@ -232,14 +232,14 @@ impl Checker<'_> {
                 let place = table.name.as_ref().map_or(0..0, |at| at.place.clone());
                 self.problem(&place, format!("channel.{}", channel.name), "no node publishes it", help);
             }
-            let Class::Hard { wishes: Wishes { after: Some(after), .. }, .. } = &channel.class else {
+            let PlannedClass::Hard { wishes: Wishes { after: Some(after), .. }, .. } = &channel.class else {
                 continue;
             };
             let Some(first) = cluster.channels.get(after.channel) else { continue };
             let place =
                 table.after.as_ref().and_then(|a| a.channel.as_ref()).map_or(0..0, |at| at.place.clone());
             let field = format!("channel.{}.after.channel", channel.name);
-            if !matches!(first.class, Class::Hard { .. }) {
+            if !matches!(first.class, PlannedClass::Hard { .. }) {
                 let what = format!("{} has no slot", first.name);
                 self.problem(&place, field, what, "name a hard real-time channel");
                 continue;
@@ -259,7 +259,9 @@ impl Checker<'_> {
     fn hyperperiod(&self, file: &ClusterFile, cluster: &Cluster) {
         let mut cycle: u64 = 1;
         for (channel, table) in cluster.channels.iter().zip(&file.channel) {
-            if !matches!(channel.class, Class::Hard { .. }) || channel.recurrence.span() == UNKNOWN_PERIOD {
+            if !matches!(channel.class, PlannedClass::Hard { .. })
+                || channel.recurrence.span() == UNKNOWN_PERIOD
+            {
                 continue;
             }
             let period = channel.recurrence.span().as_ticks();
@@ -285,8 +287,8 @@ impl Checker<'_> {
                 continue;
             };
             let wrong = match &cluster.channels[channel].class {
-                Class::Hard { .. } if pool.channels.contains(&channel) => Some("stands there twice"),
-                Class::Hard { .. } => None,
+                PlannedClass::Hard { .. } if pool.channels.contains(&channel) => Some("stands there twice"),
+                PlannedClass::Hard { .. } => None,
                 _ => Some("is not hard real-time"),
             };
             if let Some(what) = wrong {

@@ -1,7 +1,7 @@
 //! The event channels: a module of constants for each, and the channel itself for whatever content fits.
 
 use super::{CORE, DURATION, duration, subject};
-use crate::cluster::{Channel, Class, Cluster, Recurrence};
+use crate::cluster::{Channel, Cluster, PlannedClass, Recurrence};
 use crate::contents::Layout;
 use crate::plan::Plan;
 use cosmic_core::can::Payload;
@@ -81,7 +81,7 @@ fn write_constructor(
     let etag = if channel.etag.is_some() { ".with_etag(ETAG)" } else { "" };
     let is_of_messages = usize::from(channel.length) > Payload::MAX_LEN;
     let value = match channel.class {
-        Class::NonRealTime { .. } if is_of_messages => {
+        PlannedClass::NonRealTime { .. } if is_of_messages => {
             let general = format!("{CORE}::event_layer::MessageChannel");
             writeln!(
                 out,
@@ -91,9 +91,9 @@ fn write_constructor(
             "MessageChannel".clone_into(&mut of);
             format!("{general}::new(SUBJECT, ATTRIBUTES).with_rate(RATE){etag}")
         }
-        Class::Hard { .. } => format!("{of}::hard(SUBJECT, ETAG, ATTRIBUTES)"),
-        Class::Soft => format!("{of}::soft(SUBJECT, ATTRIBUTES).with_rate(RATE){etag}"),
-        Class::NonRealTime { .. } => {
+        PlannedClass::Hard { .. } => format!("{of}::hard(SUBJECT, ETAG, ATTRIBUTES)"),
+        PlannedClass::Soft => format!("{of}::soft(SUBJECT, ATTRIBUTES).with_rate(RATE){etag}"),
+        PlannedClass::NonRealTime { .. } => {
             format!("{of}::non_real_time(SUBJECT, ATTRIBUTES).with_rate(RATE){etag}")
         }
     };
@@ -137,7 +137,7 @@ fn write_docs(out: &mut String, layout: Option<&Layout>, of: &str) -> std::fmt::
 
 /// The rate of a soft or non real-time channel; that of a hard one stands in the calendar.
 fn rate(channel: &Channel) -> Option<String> {
-    if matches!(channel.class, Class::Hard { .. }) {
+    if matches!(channel.class, PlannedClass::Hard { .. }) {
         return None;
     }
     let of = format!("{CORE}::event_layer::EventRate");
@@ -157,7 +157,7 @@ fn rate(channel: &Channel) -> Option<String> {
 fn attributes(channel: &Channel, degree: Option<u8>) -> (String, String) {
     let of = |name: &str| format!("{CORE}::event_layer::{name}");
     match &channel.class {
-        Class::Hard { omission_degree, .. } => {
+        PlannedClass::Hard { omission_degree, .. } => {
             let periodic = matches!(channel.recurrence, Recurrence::Periodic(_));
             let period = duration(channel.recurrence.span());
             let omission_degree = degree.unwrap_or(*omission_degree);
@@ -166,13 +166,13 @@ fn attributes(channel: &Channel, degree: Option<u8>) -> (String, String) {
                 format!("period: {period}, periodic: {periodic}, omission_degree: {omission_degree}");
             (of.clone(), format!("{of} {{ {fields} }}"))
         }
-        Class::Soft => {
+        PlannedClass::Soft => {
             let deadline = channel.deadline.unwrap_or(channel.recurrence.span());
             let validity = duration(channel.validity.unwrap_or(deadline));
             let of = of("SoftAttributes");
             (of.clone(), format!("{of} {{ deadline: {}, validity: {validity} }}", duration(deadline)))
         }
-        Class::NonRealTime { importance } => {
+        PlannedClass::NonRealTime { importance } => {
             let validity = match channel.validity {
                 Some(validity) => format!("Some({})", duration(validity)),
                 None => "None".to_owned(),

@@ -1,7 +1,7 @@
 //! What the nodes of a sealed cluster believe.
 
 use super::{CORE, subject};
-use crate::cluster::{Class, Cluster, Node};
+use crate::cluster::{Cluster, Node, PlannedClass};
 use std::fmt::Write as _;
 
 pub(super) fn write(out: &mut String, cluster: &Cluster) -> std::fmt::Result {
@@ -22,9 +22,9 @@ pub(super) fn write(out: &mut String, cluster: &Cluster) -> std::fmt::Result {
         // Each has one: the description of a sealed cluster says so.
         let Some(etag) = channel.etag else { continue };
         let class = match channel.class {
-            Class::Hard { .. } => "Hard",
-            Class::Soft => "Soft",
-            Class::NonRealTime { .. } => "NonRealTime",
+            PlannedClass::Hard { .. } => "Hard",
+            PlannedClass::Soft => "Soft",
+            PlannedClass::NonRealTime { .. } => "NonRealTime",
         };
         let publishers: Vec<String> = cluster.publishers(at).map(tx_node).collect();
         writeln!(out, "        {CORE}::seal::SealedChannel {{")?;

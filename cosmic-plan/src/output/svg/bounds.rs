@@ -3,7 +3,7 @@
 use super::{LEFT, WIDTH, rectangle, text};
 use crate::analysis::proof::Proof;
 use crate::analysis::segment::Assessment;
-use crate::cluster::{Class, Cluster};
+use crate::cluster::{Cluster, PlannedClass};
 use crate::units::show;
 use svg::node::element::{Group, Line};
 
@@ -60,7 +60,7 @@ fn rows<'a>(cluster: &Cluster, assessment: &'a Assessment) -> Vec<(String, &'a P
     };
     let channels = assessment.channels.iter().filter_map(|proven| {
         let channel = &cluster.channels[proven.channel];
-        let by_events = !matches!(channel.class, Class::Hard { .. });
+        let by_events = !matches!(channel.class, PlannedClass::Hard { .. });
         by_events.then(|| (format!("{} ({})", channel.name, cluster.nodes[proven.node].name), &proven.proof))
     });
     let foreign =
