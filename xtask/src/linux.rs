@@ -7,15 +7,22 @@ use anyhow::{Context as _, Result, bail};
 
 use crate::cargo_test::cargo_test;
 use crate::run::{self, step};
+use crate::setup::{self, Tool};
 use crate::tally::Tally;
 use crate::target;
 use crate::workspace::Workspace;
 
-const PACKAGES: [&str; 6] =
-    ["--package", "cosmic-linux", "--package", "cosmic-monitor", "--package", "cosmic-cli"];
+const PACKAGES: &[&str] = &[
+    "--package=cosmic-cli",
+    "--package=cosmic-linux",
+    "--package=cosmic-monitor",
+    "--package=cosmic-session",
+    "--package=cosmic-ups",
+];
 
-/// Runs their tests, those with python-can included.
+/// Runs their tests, those with python-can and a C compiler included.
 pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
+    setup::install_tools(&[Tool::Compiler])?;
     let python = python_can(workspace)?;
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast"]).args(PACKAGES);

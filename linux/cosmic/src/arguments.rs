@@ -1,13 +1,13 @@
 //! What the command takes.
 
 use std::path::PathBuf;
-use std::str::FromStr;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use cosmic_core::can::{BitRate, TxNode};
 use cosmic_core::time::Duration;
 use cosmic_core::{NodeUid, Subject};
+use cosmic_linux::link::LinkAddress;
 use cosmic_plan::units;
 
 /// Watch, record and examine a COSMIC segment.
@@ -38,7 +38,7 @@ pub(crate) struct Common {
     /// How to reach the segment: sim:PATH (a simulated one), slcan:DEVICE, socketcand:HOST:PORT (or :PORT:BUS), can:INTERFACE, or
     /// log:FILE (a recorded one: candump or pcapng).
     #[arg(long, short, global = true, env = "COSMIC_LINK", value_name = "LINK")]
-    pub(crate) link: Option<LinkChoice>,
+    pub(crate) link: Option<LinkAddress>,
     /// The file that describes the cluster: gives names, contents, deadlines and slots.
     #[arg(long, short, global = true, env = "COSMIC_CLUSTER", value_name = "FILE")]
     pub(crate) cluster: Option<PathBuf>,
@@ -230,42 +230,6 @@ pub(crate) struct Host {
     pub(crate) span: Option<Duration>,
 }
 
-/// How to reach a segment.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub(crate) enum LinkChoice {
-    Sim(PathBuf),
-    Slcan(PathBuf),
-    Socketcand { address: String, bus: String },
-    Can(String),
-    Log(PathBuf),
-}
-
-impl FromStr for LinkChoice {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let known = "sim:PATH, slcan:DEVICE, socketcand:HOST:PORT[:BUS], can:INTERFACE or log:FILE";
-        let (kind, rest) = text.split_once(':').ok_or_else(|| format!("no kind of link: write {known}"))?;
-        if rest.is_empty() {
-            return Err(format!("nothing stands behind the colon: write {known}"));
-        }
-        match kind {
-            "sim" => Ok(Self::Sim(rest.into())),
-            "slcan" => Ok(Self::Slcan(rest.into())),
-            "can" => Ok(Self::Can(rest.to_owned())),
-            "log" => Ok(Self::Log(rest.into())),
-            "socketcand" => {
-                let wrong = || "write socketcand:HOST:PORT, or socketcand:HOST:PORT:BUS".to_owned();
-                let (host, rest) = rest.split_once(':').ok_or_else(wrong)?;
-                let (port, bus) = rest.split_once(':').unwrap_or((rest, "can0"));
-                port.parse::<u16>().map_err(|_| wrong())?;
-                Ok(Self::Socketcand { address: format!("{host}:{port}"), bus: bus.to_owned() })
-            }
-            other => Err(format!("there is no link of kind {other:?}: write {known}")),
-        }
-    }
-}
-
 fn span(text: &str) -> Result<Duration, String> {
     units::parse_span(text).ok_or_else(|| "write a number with its unit: 500ms, \"2.5 s\"".to_owned())
 }
@@ -309,18 +273,6 @@ mod tests {
     #[test]
     fn the_command_is_well_formed() {
         Arguments::command().debug_assert();
-    }
-
-    #[test]
-    fn links_are_read_or_refused_with_a_remedy() {
-        let link = |text: &str| text.parse::<LinkChoice>();
-        assert_eq!(link("sim:/run/s"), Ok(LinkChoice::Sim("/run/s".into())));
-        let (address, bus) = ("box:29536".to_owned(), "can1".to_owned());
-        assert_eq!(link("socketcand:box:29536:can1"), Ok(LinkChoice::Socketcand { address, bus }));
-        for wrong in ["can0", "usb:1", "socketcand:box", "socketcand:box:x", "log:"] {
-            let why = link(wrong).unwrap_err();
-            assert!(why.contains("write "), "{why}");
-        }
     }
 
     #[test]

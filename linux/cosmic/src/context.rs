@@ -4,9 +4,10 @@ use std::time::Duration;
 
 use cosmic_core::can::{BitRate, Etag};
 use cosmic_core::time::Instant;
+use cosmic_linux::link::LinkAddress;
 use cosmic_monitor::{Monitor, SegmentPlan};
 
-use crate::arguments::{Common, LinkChoice};
+use crate::arguments::Common;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::source::Source;
@@ -20,7 +21,7 @@ pub(crate) struct Context {
 
 impl Context {
     /// The link or log that was chosen.
-    pub(crate) fn link(&self) -> Result<&LinkChoice, Failure> {
+    pub(crate) fn link(&self) -> Result<&LinkAddress, Failure> {
         self.common.link.as_ref().ok_or_else(|| {
             Failure::input(
                 "no link was given: say --link sim:PATH, or another (see --help), or set COSMIC_LINK",

@@ -4,58 +4,23 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use cosmic_core::can::BitRate;
 use cosmic_core::time::{self, Instant};
-use cosmic_linux::link::segment::SegmentLink;
-use cosmic_linux::link::slcan::Slcan;
-use cosmic_linux::link::socketcan::SocketCan;
-use cosmic_linux::link::socketcand::Socketcand;
-use cosmic_linux::{Link, LinkError, Port, Tap, Tapped, What};
+use cosmic_linux::link::{AnyLink, LinkAddress};
+use cosmic_linux::{Tap, Tapped, What};
 use cosmic_monitor::Monitor;
 
-use crate::arguments::LinkChoice;
 use crate::failure::Failure;
 use crate::log::{Entry, Reader};
 
-/// A link to a segment, of any kind.
-pub(crate) enum AnyLink {
-    Segment(SegmentLink),
-    Slcan(Slcan),
-    Socketcand(Socketcand),
-    SocketCan(SocketCan),
-}
-
-impl AnyLink {
-    /// The link that was chosen.
-    ///
-    /// # Errors
-    /// It is a log, or cannot have this bit rate.
-    pub(crate) fn new(choice: &LinkChoice, bit_rate: BitRate) -> Result<Self, Failure> {
-        Ok(match choice.clone() {
-            LinkChoice::Sim(path) => Self::Segment(SegmentLink::new(path)),
-            LinkChoice::Slcan(device) => {
-                let link = Slcan::new(device, bit_rate);
-                Self::Slcan(link.map_err(|why| Failure::input(why.to_string()))?)
-            }
-            LinkChoice::Socketcand { address, bus } => {
-                Self::Socketcand(Socketcand::new(address, bus, bit_rate))
-            }
-            LinkChoice::Can(interface) => Self::SocketCan(SocketCan::new(interface)),
-            LinkChoice::Log(_) => {
-                let what = "a log can only be listened to: give a link to a segment, such as --link sim:PATH";
-                return Err(Failure::input(what));
-            }
-        })
+/// The link that was chosen, to be taken part in.
+///
+/// # Errors
+/// It is a log, or cannot have this bit rate.
+pub(crate) fn link(address: &LinkAddress, bit_rate: BitRate) -> Result<AnyLink, Failure> {
+    if let LinkAddress::Log(_) = address {
+        let what = "a log can only be listened to: give a link to a segment, such as --link sim:PATH";
+        return Err(Failure::input(what));
     }
-}
-
-impl Link for AnyLink {
-    async fn run(&mut self, port: &Port) -> LinkError {
-        match self {
-            Self::Segment(link) => link.run(port).await,
-            Self::Slcan(link) => link.run(port).await,
-            Self::Socketcand(link) => link.run(port).await,
-            Self::SocketCan(link) => link.run(port).await,
-        }
-    }
+    address.link(bit_rate).map_err(Failure::input)
 }
 
 /// Where frames come from.
@@ -81,8 +46,8 @@ pub(crate) enum Source {
 
 impl Source {
     /// Opens a link or a log.
-    pub(crate) fn open(choice: &LinkChoice, bit_rate: BitRate) -> Result<Self, Failure> {
-        if let LinkChoice::Log(file) = choice {
+    pub(crate) fn open(choice: &LinkAddress, bit_rate: BitRate) -> Result<Self, Failure> {
+        if let LinkAddress::Log(file) = choice {
             let (began, waiting, pace, has_ended) = (None, None, None, false);
             return Ok(Self::Log {
                 reader: Reader::open(file)?,
@@ -93,7 +58,7 @@ impl Source {
                 has_ended,
             });
         }
-        let tap = Tap::start(AnyLink::new(choice, bit_rate)?);
+        let tap = Tap::start(link(choice, bit_rate)?);
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         Ok(Self::Live { tap, began: now, until: None })
     }

@@ -81,6 +81,11 @@ pub fn calendar_without_slots(bit_rate: BitRate) -> &'static Calendar {
     })
 }
 
+/// A UID of nobody else's, by chance: for a program that comes and goes, and need not be known again.
+pub fn drawn_uid() -> NodeUid {
+    NodeUid::new(noise() | 1).unwrap_or(NodeUid::MIN)
+}
+
 /// Why a node cannot be started.
 #[derive(Clone, PartialEq, Eq, Debug)]
 #[non_exhaustive]

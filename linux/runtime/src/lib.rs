@@ -62,7 +62,7 @@ mod shared;
 mod tap;
 
 pub use application::{AnnounceError, Publisher, Subscriber};
-pub use config::{BrokerTables, Config, StartError, calendar_without_slots};
+pub use config::{BrokerTables, Config, StartError, calendar_without_slots, drawn_uid};
 pub use link::{Link, LinkCounters, LinkError, Port};
 pub use node::Node;
 pub use shared::{BROKER_NODES, BROKER_SUBJECTS, Broker};

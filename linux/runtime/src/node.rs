@@ -12,7 +12,7 @@ use tokio::sync::broadcast;
 use tokio::task::JoinHandle;
 
 use crate::config::{BrokerTables, Config, StartError};
-use crate::link::{self, Link, LinkCounters};
+use crate::link::{self, Link, LinkCounters, LinkError};
 use crate::shared::Shared;
 
 /// A node of a segment. Clones are handles of the same node; it ends with the last of them and of its publishers and
@@ -73,6 +73,23 @@ impl Node {
     /// Returns whether the link is connected.
     pub fn is_connected(&self) -> bool {
         self.shared().look(|core| core.is_connected)
+    }
+
+    /// Why the link is not connected; `None` if it is, or has not been tried yet.
+    pub fn link_error(&self) -> Option<LinkError> {
+        self.shared().look(|core| core.link_error.clone())
+    }
+
+    /// Waits until the link is connected or has failed for good, so that it is not tried again.
+    ///
+    /// # Errors
+    /// It has failed for good.
+    pub async fn connected_or_failed(&self) -> Result<(), LinkError> {
+        self.until(|node| {
+            let failed = || node.link_error().filter(LinkError::is_final);
+            if node.is_connected() { Some(Ok(())) } else { failed().map(Err) }
+        })
+        .await
     }
 
     /// Waits until the link is connected.

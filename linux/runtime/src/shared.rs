@@ -49,6 +49,10 @@ pub(crate) struct Core {
     places: Places,
     pub(crate) counters: LinkCounters,
     pub(crate) is_connected: bool,
+    /// Why the link is not connected, as far as it has said.
+    pub(crate) link_error: Option<LinkError>,
+    /// How often the link has said so.
+    failures: u64,
     calendar: &'static Calendar,
     /// The hard real-time event of each publisher and channel that was delivered last.
     hard: HashMap<(Etag, TxNode), (Payload, Instant)>,
@@ -73,6 +77,8 @@ impl Shared {
             places: Places::new(),
             counters: LinkCounters::default(),
             is_connected: false,
+            link_error: None,
+            failures: 0,
             calendar: config.calendar,
             hard: HashMap::new(),
             next_wakeup: now,
@@ -139,7 +145,7 @@ impl Shared {
             // Nobody need listen.
             let _ = self.news.send(news);
         }
-        let changes = core.counters.control_frames + core.counters.connections;
+        let changes = core.counters.control_frames + core.counters.connections + core.failures;
         if any || changes != *self.changed.borrow() {
             self.changed.send_replace(changes);
         }
@@ -156,8 +162,8 @@ impl End for Shared {
         self.act(|core, _| core.connected());
     }
 
-    fn disconnected(&self, _: &LinkError) {
-        self.act(|core, now| core.disconnected(now));
+    fn disconnected(&self, why: &LinkError) {
+        self.act(|core, now| core.disconnected(why, now));
     }
 
     fn received(&self, frame: &Frame, _: Option<std::time::Duration>) {
@@ -263,11 +269,14 @@ impl Core {
 
     pub(crate) fn connected(&mut self) {
         self.is_connected = true;
+        self.link_error = None;
         self.counters.connections += 1;
     }
 
-    pub(crate) fn disconnected(&mut self, at: Instant) {
+    pub(crate) fn disconnected(&mut self, why: &LinkError, at: Instant) {
         self.is_connected = false;
+        self.link_error = Some(why.clone());
+        self.failures += 1;
         let (again, withdrawn) = self.places.disconnect();
         self.counters.repeated += u64::from(again);
         for mailbox in withdrawn {

@@ -105,9 +105,19 @@ async fn a_log_is_replayed_and_cannot_be_sent_to() {
 }
 
 #[tokio::test]
+async fn a_log_that_is_not_there_is_said_to_be_missing() {
+    let node = node(Candump::new("/nowhere/a.log"));
+    let why = within(node.connected_or_failed()).await.unwrap_err();
+    assert!(why.to_string().starts_with("log /nowhere/a.log: cannot be opened"), "{why}");
+    assert_eq!(node.link_error(), Some(why));
+}
+
+#[tokio::test]
 async fn a_device_that_is_not_there_is_tried_again() {
     let folder = tempfile::tempdir().unwrap();
     let node = node(Slcan::new(folder.path().join("tty"), BitRate::MAX).unwrap());
     assert!(tokio::time::timeout(Duration::from_millis(50), node.connected()).await.is_err());
     assert_eq!(node.link_counters().connections, 0);
+    assert!(node.link_error().unwrap().to_string().contains("cannot be opened"));
+    assert!(tokio::time::timeout(Duration::from_millis(50), node.connected_or_failed()).await.is_err());
 }

@@ -6,9 +6,10 @@ use std::time::Duration;
 
 use cosmic_bus::WireFrame;
 use cosmic_linux::What;
+use cosmic_linux::link::LinkAddress;
 
 use super::{echo, warn};
-use crate::arguments::{LinkChoice, Record, Replay};
+use crate::arguments::{Record, Replay};
 use crate::context::Context;
 use crate::failure::{FOUND, Failure};
 use crate::log::Writer;
@@ -50,7 +51,7 @@ pub(super) async fn record(context: &mut Context, options: &Record) -> Result<Ex
 
 /// `cosmic replay`
 pub(super) async fn replay(context: &mut Context, options: &Replay) -> Result<ExitCode, Failure> {
-    let log = Source::open(&LinkChoice::Log(options.file.clone()), context.bit_rate())?;
+    let log = Source::open(&LinkAddress::Log(options.file.clone()), context.bit_rate())?;
     let mut target = Source::open(context.link()?, context.bit_rate())?;
     let patience = Duration::from_nanos(options.patience.as_ticks());
     target.connected(patience).await?;

@@ -1,6 +1,5 @@
 //! Commands that take part as a node: `sub`, `pub`, `broker`.
 
-use std::hash::{BuildHasher as _, RandomState};
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -10,7 +9,7 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::time;
 use cosmic_core::{NodeUid, Subject};
-use cosmic_linux::{BrokerTables, Config, Node, calendar_without_slots};
+use cosmic_linux::{BrokerTables, Config, Node, calendar_without_slots, drawn_uid};
 use cosmic_monitor::{DecodedField, SegmentPlan};
 use cosmic_plan::cluster;
 use serde::Serialize;
@@ -21,7 +20,7 @@ use crate::context::Context;
 use crate::failure::{FOUND, Failure};
 use crate::log;
 use crate::output::Style;
-use crate::source::{AnyLink, sleep_until};
+use crate::source::{link, sleep_until};
 
 /// Starts a node, when the link is there.
 async fn start(
@@ -34,7 +33,7 @@ async fn start(
     let mut trial = crate::source::Source::open(&choice, bit_rate)?;
     trial.connected(std_span(identity.patience)).await?;
     drop(trial);
-    let mut config = Config::new(identity.uid.unwrap_or_else(drawn));
+    let mut config = Config::new(identity.uid.unwrap_or_else(drawn_uid));
     config.node.tx_node = identity.tx_node;
     config.calendar = match &context.plan {
         // A node refers to its calendar for as long as the program runs.
@@ -45,17 +44,11 @@ async fn start(
         config.node.clock = sync;
     }
     config.broker = broker;
-    let node = Node::start(config, AnyLink::new(&choice, bit_rate)?);
+    let node = Node::start(config, link(&choice, bit_rate)?);
     let node = node.map_err(|error| Failure::input(error.to_string()))?;
     let connected = tokio::time::timeout(std_span(identity.patience), node.connected()).await;
     connected.map_err(|_| Failure::link("the link does not answer; look at the option --link"))?;
     Ok(node)
-}
-
-/// A UID of nobody else's: in the range of locally administered ones, by chance.
-fn drawn() -> NodeUid {
-    let number = RandomState::new().hash_one(std::process::id());
-    NodeUid::new(number | 1).unwrap_or(NodeUid::MIN)
 }
 
 fn std_span(span: time::Duration) -> Duration {

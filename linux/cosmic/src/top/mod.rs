@@ -14,7 +14,7 @@ use crossterm::event::{self, Event, KeyEventKind};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
 
-use crate::arguments::{LinkChoice, Top};
+use crate::arguments::Top;
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::source::{Source, feed, sleep_until};
@@ -38,7 +38,7 @@ pub(crate) async fn run(context: &mut Context, options: &Top) -> Result<ExitCode
              for machines",
         ));
     }
-    let link = shown_link(context.link()?);
+    let link = context.link()?.to_string();
     let mut source = context.source(None).await?.in_its_time();
     let mut monitor = context.monitor(source.now());
     let until =
@@ -49,16 +49,6 @@ pub(crate) async fn run(context: &mut Context, options: &Top) -> Result<ExitCode
     let ended = watch(&mut terminal, &mut source, &mut monitor, &link, until).await;
     ratatui::restore();
     ended.map(|()| ExitCode::SUCCESS)
-}
-
-fn shown_link(choice: &LinkChoice) -> String {
-    match choice {
-        LinkChoice::Sim(path) => format!("sim:{}", path.display()),
-        LinkChoice::Slcan(device) => format!("slcan:{}", device.display()),
-        LinkChoice::Socketcand { address, bus } => format!("socketcand:{address}:{bus}"),
-        LinkChoice::Can(interface) => format!("can:{interface}"),
-        LinkChoice::Log(file) => format!("log:{}", file.display()),
-    }
 }
 
 async fn watch(

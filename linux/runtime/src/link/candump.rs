@@ -14,6 +14,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use cosmic_core::can::{Frame, Id, Outcome, Payload};
+use tokio::fs::File;
 use tokio::io::{AsyncBufReadExt as _, AsyncReadExt as _, BufReader};
 use tokio::time::Instant;
 
@@ -44,15 +45,12 @@ impl Candump {
         Self { speed: if factor.is_finite() && factor > 0.0 { factor } else { 1.0 }, ..self }
     }
 
-    async fn replay(&self, port: &Port) -> LinkError {
+    fn failed(&self, what: &str, error: &std::io::Error) -> LinkError {
+        LinkError::last(format!("log {}: {what}: {error}", self.path.display()))
+    }
+
+    async fn replay(&self, file: File, port: &Port) -> LinkError {
         let name = self.path.display();
-        let failed =
-            |what: &str, error: std::io::Error| LinkError::last(format!("log {name}: {what}: {error}"));
-        let file = match tokio::fs::File::open(&self.path).await {
-            Ok(file) => file,
-            Err(error) => return failed("cannot be opened", error),
-        };
-        port.connected();
         let mut reader = BufReader::new(file);
         let mut first = None;
         loop {
@@ -61,7 +59,7 @@ impl Candump {
             match (&mut reader).take(LONGEST_LINE).read_until(b'\n', &mut line).await {
                 Ok(0) => return LinkError::last(format!("log {name}: replayed to its end")),
                 Ok(_) => {}
-                Err(error) => return failed("cannot be read", error),
+                Err(error) => return self.failed("cannot be read", &error),
             }
             let line = line.trim_ascii();
             if line.is_empty() {
@@ -87,6 +85,11 @@ impl Candump {
 
 impl Link for Candump {
     async fn run(&mut self, port: &Port) -> LinkError {
+        let file = match File::open(&self.path).await {
+            Ok(file) => file,
+            Err(error) => return self.failed("cannot be opened", &error),
+        };
+        port.connected();
         let swallow = async {
             loop {
                 let (mailbox, _) = port.next_frame().await;
@@ -97,7 +100,7 @@ impl Link for Candump {
         let ended = {
             let mut swallow = std::pin::pin!(swallow);
             tokio::select! {
-                error = self.replay(port) => error,
+                error = self.replay(file, port) => error,
                 () = &mut swallow => LinkError::last("the log has ended"),
             }
         };

@@ -4,6 +4,7 @@
 //! connection. The node starts it again when that has ended, after a pause that grows to [`LONGEST_PAUSE`]. Parsers of
 //! what comes from outside take a bounded number of bytes and never panic; what they do not understand is counted.
 
+mod address;
 pub mod candump;
 pub mod segment;
 pub mod slcan;
@@ -20,6 +21,7 @@ use cosmic_core::can::{BitRate, ErrorCounters, Frame, Mailbox, Outcome};
 use tokio::sync::Notify;
 
 pub use crate::places::Handover;
+pub use address::{ADDRESSES, AnyLink, LinkAddress};
 
 /// A way to a segment.
 pub trait Link: Send + 'static {

@@ -1,0 +1,226 @@
+//! A node, and the channels that a program has asked for.
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use cosmic_core::can::{BitRate, Payload, TxNode};
+use cosmic_core::event_layer::{Channel, ChannelCounters, Event};
+use cosmic_core::{NodeUid, Subject};
+use cosmic_linux::link::LinkAddress;
+use cosmic_linux::{Config, Node, Publisher, calendar_without_slots, drawn_uid};
+use cosmic_monitor::SegmentPlan;
+use tokio::runtime::{Builder, Runtime};
+
+use crate::failure::Failure;
+use crate::quality::{Quality, Times};
+use crate::subscription::{Queue, Subscription};
+
+/// What a session is told when it is opened.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// How to reach the segment.
+    pub link: LinkAddress,
+    /// The file that describes the cluster.
+    pub cluster: Option<PathBuf>,
+    /// The UID of the node; one is drawn if there is none. One of the cluster's file brings its TxNode.
+    pub uid: Option<NodeUid>,
+    /// The TxNode, where no broker gives one.
+    pub tx_node: Option<TxNode>,
+    /// The bit rate, where no file says it.
+    pub bit_rate: BitRate,
+    /// For how long to wait for the link, and for what a broker gives.
+    pub patience: Duration,
+}
+
+impl Settings {
+    /// A session on this link at 1 Mbit/s, that is given its names by a broker.
+    pub const fn new(link: LinkAddress) -> Self {
+        let (cluster, uid, tx_node, bit_rate, patience) = (None, None, None, BitRate::MAX, PATIENCE);
+        Self { link, cluster, uid, tx_node, bit_rate, patience }
+    }
+}
+
+/// A node with a thread of its own. Any thread may call it.
+pub struct Session {
+    node: Node,
+    plan: Option<SegmentPlan>,
+    patience: Duration,
+    /// One for each subject, until it is withdrawn.
+    publishers: Mutex<HashMap<Subject, Arc<Publisher<Payload>>>>,
+    /// `None` only while it is dropped.
+    runtime: Option<Runtime>,
+}
+
+impl Session {
+    /// Starts a node, and waits until its link is connected.
+    ///
+    /// # Errors
+    /// [`Failure::Input`], [`Failure::Link`]
+    pub fn open(settings: &Settings) -> Result<Self, Failure> {
+        let plan = settings.cluster.as_ref().map(SegmentPlan::read).transpose();
+        let plan = plan.map_err(|why| Failure::Input(why.to_string()))?;
+        let bit_rate = plan.as_ref().map_or(settings.bit_rate, SegmentPlan::bit_rate);
+        let link = settings.link.link(bit_rate).map_err(Failure::Input)?;
+        let config = config(settings, plan.as_ref(), bit_rate);
+        let runtime = Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("cosmic")
+            .enable_all()
+            .build()
+            .map_err(|why| Failure::Link(format!("no thread can be started: {why}")))?;
+        let patience = settings.patience;
+        let node = runtime.block_on(async {
+            let node = Node::start(config, link).map_err(|why| Failure::Input(why.to_string()))?;
+            match tokio::time::timeout(patience, node.connected_or_failed()).await {
+                Ok(Ok(())) => Ok(node),
+                Ok(Err(why)) => Err(Failure::Link(why.to_string())),
+                Err(_) => Err(Failure::Link(match node.link_error() {
+                    Some(why) => format!("{why}; tried for {patience:?}"),
+                    None => format!("{} does not answer within {patience:?}", settings.link),
+                })),
+            }
+        })?;
+        Ok(Self { node, plan, patience, publishers: Mutex::default(), runtime: Some(runtime) })
+    }
+
+    /// The subject of a channel, by its name in the cluster's file or as up to 16 hexadecimal digits behind `0x`.
+    pub fn subject_of(&self, name: &str) -> Option<Subject> {
+        let planned =
+            self.plan.as_ref().and_then(|plan| Subject::new(plan.channel(plan.channel_named(name)?).subject));
+        let digits = || u64::from_str_radix(name.strip_prefix("0x")?, 16).ok();
+        planned.or_else(|| Subject::new(digits()?))
+    }
+
+    /// The description of the cluster.
+    pub const fn plan(&self) -> Option<&SegmentPlan> {
+        self.plan.as_ref()
+    }
+
+    /// The node.
+    pub const fn node(&self) -> &Node {
+        &self.node
+    }
+
+    /// Announces a channel, and waits until it can be published on. Does nothing for one that has been announced.
+    ///
+    /// # Errors
+    /// [`Failure::Input`], [`Failure::Refused`], [`Failure::NotBound`]; then the channel is not announced.
+    pub fn announce(&self, subject: Subject, quality: Option<&Quality>) -> Result<(), Failure> {
+        self.publisher(subject, quality).map(|_| ())
+    }
+
+    /// Gives up the announcement of a channel. Events that wait to be sent are discarded. Returns whether there was
+    /// one.
+    pub fn withdraw(&self, subject: Subject) -> bool {
+        self.publishers().remove(&subject).is_some()
+    }
+
+    /// Publishes an event of now. The first one on a channel that has not been announced announces it, as the cluster's
+    /// file says or with the [default quality](Quality::DEFAULT), and may wait for a broker; no other waits.
+    ///
+    /// # Errors
+    /// As [`announce`](Self::announce), and [`Failure::NotPublished`].
+    pub fn publish(&self, subject: Subject, content: &[u8], times: Times) -> Result<(), Failure> {
+        let content = Payload::new(content).ok_or(cosmic_core::event_layer::PublishError::TooLong)?;
+        let publisher = self.publisher(subject, None)?;
+        let now = self.node.now();
+        let mut event = Event::new(content);
+        event.deadline = times.deadline.map(|deadline| now + deadline);
+        event.expires_at = times.validity.map(|validity| now + validity);
+        Ok(publisher.publish_event(&event)?)
+    }
+
+    /// Subscribes to a channel, and waits until the node has its TxNode; without one it hears nothing that a broker
+    /// binds.
+    ///
+    /// # Errors
+    /// As [`announce`](Self::announce).
+    pub fn subscribe(
+        &self,
+        subject: Subject,
+        quality: Option<&Quality>,
+        queue: Queue,
+    ) -> Result<Subscription, Failure> {
+        let channel = self.channel(subject, quality)?;
+        let refused = |why: String| Failure::Refused(why);
+        let subscriber = self.node.subscribe(&channel, queue.policy());
+        let subscriber = subscriber.map_err(|why| refused(why.to_string()))?;
+        let subscription = Subscription::new(subscriber, queue)
+            .map_err(|why| refused(format!("no descriptor can be had: {why}; close some")))?;
+        self.within_patience(self.node.configured())?;
+        Ok(subscription)
+    }
+
+    /// What happened on a channel at this node; `None` if the node does not know it.
+    pub fn counters(&self, subject: Subject) -> Option<ChannelCounters> {
+        self.node.channel_counters(subject)
+    }
+
+    fn publisher(
+        &self,
+        subject: Subject,
+        quality: Option<&Quality>,
+    ) -> Result<Arc<Publisher<Payload>>, Failure> {
+        if let Some(publisher) = self.publishers().get(&subject) {
+            return Ok(Arc::clone(publisher));
+        }
+        let channel = self.channel(subject, quality)?;
+        let publisher = self.node.announce(&channel).map_err(|why| Failure::Refused(why.to_string()))?;
+        self.within_patience(publisher.bound())?;
+        // Two threads may have been here; both publishers do.
+        Ok(Arc::clone(self.publishers().entry(subject).or_insert_with(|| Arc::new(publisher))))
+    }
+
+    /// The channel, as the cluster's file says, or as was given.
+    fn channel(&self, subject: Subject, quality: Option<&Quality>) -> Result<Channel<Payload>, Failure> {
+        let planned = self.plan.as_ref().and_then(|plan| Some((plan, plan.channel_of_subject(subject)?)));
+        match (planned, quality) {
+            (Some(_), Some(_)) => Err(Failure::Input(format!(
+                "the cluster's file says the quality of the channel with subject {subject}: give none"
+            ))),
+            (Some((plan, at)), None) => plan.declare(at).ok_or_else(|| {
+                Failure::Input(format!("the cluster's file contradicts itself about subject {subject}"))
+            }),
+            (None, quality) => quality.unwrap_or(&Quality::DEFAULT).channel(subject),
+        }
+    }
+
+    fn within_patience<T>(&self, what: impl Future<Output = T>) -> Result<T, Failure> {
+        let runtime = self.runtime.as_ref().ok_or(Failure::Closed)?;
+        let waited = runtime.block_on(async { tokio::time::timeout(self.patience, what).await });
+        waited.map_err(|_| Failure::NotBound(self.patience))
+    }
+
+    fn publishers(&self) -> MutexGuard<'_, HashMap<Subject, Arc<Publisher<Payload>>>> {
+        self.publishers.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            // The tasks of the node may wait for a link; nobody waits for them.
+            runtime.shutdown_background();
+        }
+    }
+}
+
+fn config(settings: &Settings, plan: Option<&SegmentPlan>, bit_rate: BitRate) -> Config {
+    let mut config = Config::new(settings.uid.unwrap_or_else(drawn_uid));
+    let planned = || plan?.cluster().nodes.iter().find(|node| NodeUid::new(node.uid) == settings.uid);
+    config.node.tx_node = settings.tx_node.or_else(|| Some(planned()?.tx_node));
+    config.calendar = match plan {
+        // A node refers to its calendar for as long as the program runs.
+        Some(plan) => Box::leak(Box::new(plan.calendar())),
+        None => calendar_without_slots(bit_rate),
+    };
+    if let Some(sync) = plan.and_then(|plan| plan.cluster().sync()) {
+        config.node.clock = sync;
+    }
+    config
+}
+
+/// For how long a session waits if it is not told.
+pub const PATIENCE: Duration = Duration::from_secs(5);
