@@ -16,17 +16,25 @@ const PACKAGES: &[&str] = &[
     "--package=cosmic-cli",
     "--package=cosmic-linux",
     "--package=cosmic-monitor",
+    "--package=cosmic-page",
     "--package=cosmic-session",
     "--package=cosmic-ups",
 ];
 
-/// Runs their tests, those with python-can and a C compiler included.
+/// Runs their tests, those with python-can and a C compiler included, and those in a browser if there is
+/// one or it may be installed.
 pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
     setup::install_tools(&[Tool::Compiler])?;
     let python = python_can(workspace)?;
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast"]).args(PACKAGES);
     command.args(["--", "--include-ignored"]).env("COSMIC_PYTHON", python);
+    match setup::install_tools(&[Tool::Browser]) {
+        Ok(()) => {
+            command.env(BROWSER, "1");
+        }
+        Err(why) => eprintln!("the live page is not tried in a browser: {why:#}"),
+    }
     step("testing what runs on Linux", || cargo_test(&mut command))
 }
 
@@ -68,3 +76,5 @@ fn python_can(workspace: &Workspace) -> Result<PathBuf> {
 }
 
 const VERSION: &str = "4.6.1";
+/// Tells the tests of the page to insist on a browser.
+const BROWSER: &str = "COSMIC_BROWSER";

@@ -31,14 +31,24 @@ pub(crate) enum Tool {
     Tshark,
     /// Runs the modules that it writes, and cantools.
     Python,
+    /// Opens the live page, driven by the tests.
+    Browser,
 }
 
 /// What the tests of the emulated cluster are built with. The cluster itself needs none of it.
 pub(crate) const COMPARISON: [Tool; 4] = [Tool::Cmake, Tool::Make, Tool::Compiler, Tool::Libclang];
 
 /// All tools.
-pub(crate) const EVERYTHING: [Tool; 7] =
-    [Tool::Qemu, Tool::Cmake, Tool::Make, Tool::Compiler, Tool::Libclang, Tool::Tshark, Tool::Python];
+pub(crate) const EVERYTHING: [Tool; 8] = [
+    Tool::Qemu,
+    Tool::Cmake,
+    Tool::Make,
+    Tool::Compiler,
+    Tool::Libclang,
+    Tool::Tshark,
+    Tool::Python,
+    Tool::Browser,
+];
 
 /// Finds or installs the target and the tools, and says how to compile for the target.
 ///
@@ -119,6 +129,8 @@ impl Tool {
             Self::Libclang => "libclang-dev",
             Self::Tshark => "tshark",
             Self::Python => "python3-venv",
+            // Chromium comes with it.
+            Self::Browser => "chromium-driver",
         }
     }
 
@@ -130,6 +142,7 @@ impl Tool {
             Self::Compiler => target::find_program("c++").is_some(),
             Self::Tshark => target::find_program("tshark").is_some(),
             Self::Python => has_venv(),
+            Self::Browser => target::find_program("chromedriver").is_some(),
             Self::Libclang => env::var_os("LIBCLANG_PATH").is_some() || has_libclang(&library_directories()),
         }
     }
@@ -145,6 +158,7 @@ impl fmt::Display for Tool {
             Self::Libclang => "libclang",
             Self::Tshark => "tshark",
             Self::Python => "Python with its module venv",
+            Self::Browser => "Chromium with its driver",
         })
     }
 }

@@ -1,6 +1,8 @@
 //! What the command takes.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
@@ -12,8 +14,8 @@ use cosmic_plan::units;
 
 /// Watch, record and examine a COSMIC segment.
 ///
-/// Most commands only listen: they take no TxNode, and the segment does not notice them. `sub`, `pub` and `broker` take
-/// part as a node.
+/// Most commands only listen: they take no TxNode, and the segment does not notice them. `sub`, `pub`, `broker` and
+/// `serve --allow-publish` take part as a node.
 #[derive(Parser, Debug)]
 #[command(name = "cosmic", version, after_long_help = AFTER)]
 pub(crate) struct Arguments {
@@ -69,6 +71,8 @@ pub(crate) enum Command {
     Latency(Measure),
     /// Shows the segment on the whole terminal.
     Top(Top),
+    /// Serves a live page of the segment for browsers.
+    Serve(Serve),
     /// Records what crosses the bus.
     Record(Record),
     /// Sends a recorded log to a segment, as it was.
@@ -198,6 +202,46 @@ pub(crate) struct Top {
 }
 
 #[derive(Args, Debug)]
+pub(crate) struct Serve {
+    /// At which address and port; port 0 for any that is free. Only this machine reaches 127.0.0.1.
+    #[arg(long, default_value = "127.0.0.1:8117", value_name = "ADDRESS:PORT")]
+    pub(crate) listen: SocketAddr,
+    /// A name under which browsers may ask for the page, besides addresses and localhost.
+    #[arg(long = "host", value_name = "NAME")]
+    pub(crate) hosts: Vec<String>,
+    /// Another segment to show: its link, and behind @ its cluster file, as in sim:/run/rear@rear.toml.
+    #[arg(long, value_name = "LINK[@FILE]")]
+    pub(crate) also: Vec<Also>,
+    /// Lets who has the token that is printed publish events on the segment of --link.
+    #[arg(long)]
+    pub(crate) allow_publish: bool,
+    /// Ends after this span.
+    #[arg(long = "for", value_parser = span, value_name = "SPAN")]
+    pub(crate) span: Option<Duration>,
+    #[command(flatten)]
+    pub(crate) identity: Identity,
+}
+
+/// A further segment.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(crate) struct Also {
+    pub(crate) link: LinkAddress,
+    pub(crate) cluster: Option<PathBuf>,
+}
+
+impl FromStr for Also {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (link, cluster) = match text.rsplit_once('@') {
+            Some((link, cluster)) => (link, Some(cluster.into())),
+            None => (text, None),
+        };
+        Ok(Self { link: link.parse()?, cluster })
+    }
+}
+
+#[derive(Args, Debug)]
 pub(crate) struct Record {
     /// The log to write: pcapng if it ends in .pcapng, else as candump does; - for standard output.
     pub(crate) file: PathBuf,
@@ -273,6 +317,18 @@ mod tests {
     #[test]
     fn the_command_is_well_formed() {
         Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn another_segment_is_a_link_and_its_file() {
+        let link = |text: &str| text.parse::<LinkAddress>();
+        let also = "sim:/run/rear@rear.toml".parse();
+        assert_eq!(
+            also,
+            Ok(Also { link: link("sim:/run/rear").unwrap(), cluster: Some("rear.toml".into()) })
+        );
+        assert_eq!("can:can1".parse(), Ok(Also { link: link("can:can1").unwrap(), cluster: None }));
+        assert!("can0@rear.toml".parse::<Also>().is_err());
     }
 
     #[test]

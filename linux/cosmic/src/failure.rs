@@ -1,5 +1,6 @@
 //! Why a command ended early: one line, with what to do, and an exit code.
 
+use std::fmt;
 use std::process::ExitCode;
 
 /// Why a command ended early.
@@ -38,5 +39,11 @@ impl Failure {
             eprintln!("cosmic: {line}");
         }
         ExitCode::from(self.code)
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.line.as_deref().unwrap_or_default())
     }
 }

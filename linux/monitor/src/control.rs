@@ -71,6 +71,8 @@ impl Monitor {
                 if mismatch { ExceptionKind::CalendarMismatch } else { ExceptionKind::ClockOutOfBound },
             );
         }
+        // What the node has counted by now may be slots that passed since they were looked at last.
+        self.pass_slots(at);
         let Some(node) = self.nodes.get_mut(tx_node) else { return };
         let told = node.on_status(status, at);
         let evidence = node.evidence.take();

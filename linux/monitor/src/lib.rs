@@ -23,8 +23,8 @@
 //! Call [`Monitor::on_frame`], [`on_foreign`](Monitor::on_foreign), [`on_lost`](Monitor::on_lost),
 //! [`on_errors`](Monitor::on_errors) and [`on_bus_off`](Monitor::on_bus_off) as the link tells of them, with instants
 //! that do not go back; one that does counts as the latest. [`Monitor::snapshot`], [`Monitor::doctor`] and
-//! [`Monitor::notices`] may be called at any time. A frame takes constant time; once a second one takes time linear in
-//! what is known.
+//! [`Monitor::notices`] may be called at any time. A frame takes constant time, a node's status time linear in the slots of the plan; once a second a frame takes time
+//! linear in what is known.
 //!
 //! # Bounds
 //! Whatever the bus sends, memory is bounded: 128 nodes, [`MOST_CHANNELS`] channels, [`MOST_PARTICIPANTS`] entries of

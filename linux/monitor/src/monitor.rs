@@ -90,6 +90,11 @@ impl Monitor {
         self.plan.as_ref()
     }
 
+    /// The bit rate of the segment.
+    pub fn bit_rate(&self) -> BitRate {
+        self.bit_rate
+    }
+
     /// A frame has arrived.
     pub fn on_frame(&mut self, frame: &Frame, at: Instant) {
         let at = self.advance(at);
@@ -258,6 +263,11 @@ impl Monitor {
             self.feed.add(news.of(tx_node), now);
         }
         self.channels.advance(now);
+        self.pass_slots(now);
+    }
+
+    /// Slots whose windows have passed without a frame are missed. Linear in the slots.
+    pub(crate) fn pass_slots(&mut self, now: Instant) {
         let Some(global) = self.clock.global(now) else { return };
         let tolerance = self.slot_tolerance();
         for (etag, tx_node, missed) in self.slots.advance(global, tolerance) {

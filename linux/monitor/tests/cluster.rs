@@ -149,3 +149,21 @@ fn nodes_that_come_and_go_are_told() {
     assert!(kinds(&bed, last).contains(&(NoticeKind::NodeAppeared, number)));
     assert!(bed.monitor.snapshot(bed.now()).nodes[4].alive);
 }
+
+/// A node that counts missed events tells how many within half a second, before the monitor has looked at all slots.
+#[test]
+fn exceptions_of_missed_slots_are_explained_when_they_are_told() {
+    let mut bed = running();
+    let last = bed.monitor.notices(0).last().unwrap().sequence;
+    let left_wheel = bed::channel_named(&bed.plan, "left_wheel");
+    bed.orders.borrow_mut().mute = Some(left_wheel);
+    bed.run(2_500);
+    let mut told = 0;
+    for notice in bed.monitor.notices(last).filter(|notice| notice.kind == NoticeKind::Exceptions) {
+        let names: Vec<_> = notice.exceptions.iter().map(|exception| exception.name).collect();
+        let explained = names.contains(&"missed event") || names.contains(&"nothing published for the slot");
+        assert!(explained, "{notice:?}");
+        told += 1;
+    }
+    assert!(told > 0);
+}

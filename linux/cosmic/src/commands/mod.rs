@@ -5,6 +5,7 @@ mod listen;
 mod logs;
 mod measure;
 mod part;
+mod serve;
 mod served;
 
 use std::process::ExitCode;
@@ -39,6 +40,7 @@ pub(crate) async fn run(arguments: Arguments) -> Result<ExitCode, Failure> {
         Command::Hz(options) => measure::hz(&mut context, &options).await,
         Command::Latency(options) => measure::latency(&mut context, &options).await,
         Command::Top(options) => top::run(&mut context, &options).await,
+        Command::Serve(options) => serve::serve(&mut context, &options).await,
         Command::Record(options) => logs::record(&mut context, &options).await,
         Command::Replay(options) => logs::replay(&mut context, &options).await,
         Command::Decode { file } => logs::decode(&mut context, &file),

@@ -23,7 +23,7 @@ use crate::output::Style;
 use crate::source::{link, sleep_until};
 
 /// Starts a node, when the link is there.
-async fn start(
+pub(super) async fn start(
     context: &Context,
     identity: &Identity,
     broker: Option<BrokerTables>,
@@ -79,8 +79,16 @@ fn channel(
     Ok((given(subject), None))
 }
 
+/// The channel of this name; a soft real-time one if no plan says what it is.
+pub(super) fn soft_channel(
+    plan: Option<&SegmentPlan>,
+    name: &str,
+) -> Result<(Channel<Payload>, Option<usize>), Failure> {
+    channel(plan, name, |subject| soft(subject, DEADLINE, 4 * DEADLINE))
+}
+
 /// Waits until a node has its names, or says who did not give them.
-async fn named<F: Future>(identity: &Identity, names: F) -> Result<F::Output, Failure> {
+pub(super) async fn named<F: Future>(identity: &Identity, names: F) -> Result<F::Output, Failure> {
     tokio::time::timeout(std_span(identity.patience), names).await.map_err(|_| {
         let patience = cosmic_plan::units::show(identity.patience);
         Failure::link(format!(
@@ -257,7 +265,7 @@ pub(super) async fn publish(context: &mut Context, options: &Publish) -> Result<
 }
 
 /// Waits until all that was published was sent or has expired.
-async fn concluded(node: &Node, subject: Subject) {
+pub(super) async fn concluded(node: &Node, subject: Subject) {
     let until = tokio::time::Instant::now() + LONGEST_WAIT;
     loop {
         let counters = node.channel_counters(subject).unwrap_or_default();
@@ -269,7 +277,7 @@ async fn concluded(node: &Node, subject: Subject) {
 }
 
 /// The bytes of `field=value` for each field, or of hexadecimal digits.
-fn content(planned: Option<(&SegmentPlan, usize)>, words: &[String]) -> Result<Payload, Failure> {
+pub(super) fn content(planned: Option<(&SegmentPlan, usize)>, words: &[String]) -> Result<Payload, Failure> {
     let pairs: Option<Vec<(&str, &str)>> = words.iter().map(|word| word.split_once('=')).collect();
     let bytes = match pairs.filter(|pairs| !pairs.is_empty()) {
         Some(pairs) => {
