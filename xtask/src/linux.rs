@@ -15,6 +15,7 @@ use crate::workspace::Workspace;
 const PACKAGES: &[&str] = &[
     "--package=cosmic-cli",
     "--package=cosmic-linux",
+    "--package=cosmic-log",
     "--package=cosmic-monitor",
     "--package=cosmic-page",
     "--package=cosmic-session",

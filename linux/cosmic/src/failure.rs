@@ -3,6 +3,8 @@
 use std::fmt;
 use std::process::ExitCode;
 
+use cosmic_log::LogError;
+
 /// Why a command ended early.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) struct Failure {
@@ -45,5 +47,11 @@ impl Failure {
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.line.as_deref().unwrap_or_default())
+    }
+}
+
+impl From<LogError> for Failure {
+    fn from(error: LogError) -> Self {
+        if error.is_closed() { Self::closed() } else { Self::input(error.to_string()) }
     }
 }

@@ -8,7 +8,6 @@ mod arguments;
 mod commands;
 mod context;
 mod failure;
-mod log;
 mod output;
 mod source;
 mod top;

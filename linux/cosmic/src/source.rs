@@ -6,10 +6,10 @@ use cosmic_core::can::BitRate;
 use cosmic_core::time::{self, Instant};
 use cosmic_linux::link::{AnyLink, LinkAddress};
 use cosmic_linux::{Tap, Tapped, What};
+use cosmic_log::{Entry, Reader};
 use cosmic_monitor::Monitor;
 
 use crate::failure::Failure;
-use crate::log::{Entry, Reader};
 
 /// The link that was chosen, to be taken part in.
 ///
@@ -139,7 +139,7 @@ impl Source {
                     *latest = at;
                     *waiting = Some(Tapped { at, what });
                 }
-                Err(failure) => return Some(Err(failure)),
+                Err(error) => return Some(Err(error.into())),
             }
         }
         if let (Some(start), Some(tapped)) = (*pace, waiting.as_ref()) {

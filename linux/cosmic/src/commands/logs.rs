@@ -7,12 +7,12 @@ use std::time::Duration;
 use cosmic_bus::WireFrame;
 use cosmic_linux::What;
 use cosmic_linux::link::LinkAddress;
+use cosmic_log::Writer;
 
 use super::{echo, warn};
 use crate::arguments::{Record, Replay};
 use crate::context::Context;
 use crate::failure::{FOUND, Failure};
-use crate::log::Writer;
 use crate::source::{Source, feed};
 
 /// `cosmic record`
@@ -96,11 +96,11 @@ pub(super) async fn replay(context: &mut Context, options: &Replay) -> Result<Ex
 
 /// `cosmic decode`
 pub(super) fn decode(context: &mut Context, file: &Path) -> Result<ExitCode, Failure> {
-    let mut reader = crate::log::Reader::open(file)?;
+    let reader = cosmic_log::Reader::open(file)?;
     let mut monitor = None;
     let mut began = None;
     let mut frames = 0_u64;
-    while let Some(entry) = reader.next() {
+    for entry in reader {
         let entry = entry?;
         let since = entry.stamp.saturating_sub(*began.get_or_insert(entry.stamp));
         let ticks = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX / 2);

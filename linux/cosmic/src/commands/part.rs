@@ -18,7 +18,6 @@ use tokio::sync::mpsc;
 use crate::arguments::{Class, Host, Identity, Publish, Subscribe, subject};
 use crate::context::Context;
 use crate::failure::{FOUND, Failure};
-use crate::log;
 use crate::output::Style;
 use crate::source::{link, sleep_until};
 
@@ -292,7 +291,7 @@ pub(super) fn content(planned: Option<(&SegmentPlan, usize)>, words: &[String]) 
                 .encode_text(&pairs)
                 .map_err(|why| Failure::input(format!("this is no {}: {why}", layout.name)))?
         }
-        None => log::bytes_of(&words.concat()).ok_or_else(|| {
+        None => cosmic_log::bytes_of(&words.concat()).ok_or_else(|| {
             Failure::input(
                 "the content is no bytes: write field=value for each field, or up to 16 hexadecimal digits",
             )

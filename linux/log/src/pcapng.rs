@@ -14,8 +14,7 @@ use pcap_parser::pcapng::{
 use pcap_parser::traits::PcapReaderIterator as _;
 use pcap_parser::{Block, Linktype, PcapBlockOwned, PcapError, PcapNGReader, ToVec as _};
 
-use super::{Entry, heard};
-use crate::failure::Failure;
+use super::{Entry, LogError, heard};
 
 /// How every pcapng file begins.
 pub(super) const MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
@@ -37,13 +36,13 @@ struct Interface {
 }
 
 impl Reader {
-    pub(super) fn new(source: Box<dyn Read + Send>, name: String) -> Result<Self, Failure> {
-        let failed = |_| Failure::input(format!("{name} is no pcapng file; record it anew"));
+    pub(super) fn new(source: Box<dyn Read + Send>, name: String) -> Result<Self, LogError> {
+        let failed = |_| LogError::new(format!("{name} is no pcapng file; record it anew"));
         let reader = PcapNGReader::new(BUFFER, source).map_err(failed)?;
         Ok(Self { reader, name, interfaces: Vec::new() })
     }
 
-    pub(super) fn next(&mut self) -> Option<Result<Entry, Failure>> {
+    pub(super) fn next(&mut self) -> Option<Result<Entry, LogError>> {
         loop {
             let step = match self.reader.next() {
                 Ok((length, block)) => {
@@ -77,11 +76,8 @@ impl Reader {
         matches!(self.reader.next(), Err(PcapError::Incomplete(_)))
     }
 
-    fn broken<T>(&self, what: &str) -> Option<Result<T, Failure>> {
-        Some(Err(Failure::input(format!(
-            "{} {what}: what stands before is whole; record it anew",
-            self.name
-        ))))
+    fn broken<T>(&self, what: &str) -> Option<Result<T, LogError>> {
+        Some(Err(LogError::new(format!("{} {what}: what stands before is whole; record it anew", self.name))))
     }
 }
 

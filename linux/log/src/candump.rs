@@ -15,8 +15,7 @@ use cosmic_core::can::ErrorCounters;
 use cosmic_linux::What;
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 
-use super::{Entry, heard};
-use crate::failure::Failure;
+use super::{Entry, LogError, heard};
 
 pub(crate) struct Reader<R> {
     source: R,
@@ -30,7 +29,7 @@ impl<R: BufRead> Reader<R> {
         Self { source, name, line: 0, buffer: Vec::new() }
     }
 
-    pub(crate) fn next(&mut self) -> Option<Result<Entry, Failure>> {
+    pub(crate) fn next(&mut self) -> Option<Result<Entry, LogError>> {
         loop {
             self.buffer.clear();
             self.line += 1;
@@ -40,7 +39,7 @@ impl<R: BufRead> Reader<R> {
                 Ok(0) => return None,
                 Ok(_) => {}
                 Err(error) => {
-                    return Some(Err(Failure::input(format!("{} cannot be read: {error}", self.name))));
+                    return Some(Err(LogError::new(format!("{} cannot be read: {error}", self.name))));
                 }
             }
             let line = self.buffer.trim_ascii();
@@ -49,7 +48,7 @@ impl<R: BufRead> Reader<R> {
             }
             let entry = std::str::from_utf8(line).ok().and_then(parse);
             return Some(entry.ok_or_else(|| {
-                Failure::input(format!(
+                LogError::new(format!(
                     "{} line {}: this is no frame of a log; give a log as `candump -l` writes it, or pcapng",
                     self.name, self.line
                 ))
@@ -121,7 +120,7 @@ fn hexadecimal(text: &str) -> Option<u32> {
 }
 
 /// Bytes in hexadecimal digits, at most eight; dots between them are allowed.
-pub(crate) fn bytes_of(text: &str) -> Option<Vec<u8>> {
+pub fn bytes_of(text: &str) -> Option<Vec<u8>> {
     let text: String = text.chars().filter(|character| *character != '.').collect();
     let pair = |pair: &[u8]| Some(hexadecimal(std::str::from_utf8(pair).ok()?)? as u8);
     let fits = text.len().is_multiple_of(2) && text.len() <= 16;
