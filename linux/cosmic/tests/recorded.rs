@@ -54,6 +54,9 @@ fn events_are_printed_by_their_contents_or_in_hexadecimal_digits() {
             .unwrap();
     assert_eq!((&line["channel"], &line["meaning"]["is"]), (&"gripper".into(), &"event".into()));
     assert_eq!(line["meaning"]["fields"][1]["unit"], "N");
+    // Of several frames.
+    let message = printed(&["echo", "journal", "-n", "1", "-l", ROVER, "-c", CLUSTER]);
+    assert!(message.contains("base         journal at=0 s latitude=0 ° longitude=0 °"), "{message}");
     let control = printed(&["echo", "--control", "-l", ROVER, "-c", CLUSTER]);
     for name in [
         "sync sequence=",

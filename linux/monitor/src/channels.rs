@@ -9,6 +9,7 @@ use cosmic_core::time::{Duration, Instant};
 
 use crate::latency::Latency;
 use crate::load::Rate;
+use crate::messages::Whole;
 
 /// Channels that are kept.
 pub const MOST_CHANNELS: usize = 4096;
@@ -35,6 +36,8 @@ pub(crate) struct ChannelSeen {
     pub(crate) rate: Rate,
     pub(crate) frames: u64,
     pub(crate) last: Option<Last>,
+    /// The last message, if this is a channel of messages.
+    pub(crate) message: Option<Whole>,
     pub(crate) latency: Latency,
     used_at: Instant,
 }
@@ -99,6 +102,13 @@ impl Channels {
         let channel = self.channels.entry(etag).or_insert_with(ChannelSeen::new);
         channel.used_at = at;
         Some(channel)
+    }
+
+    /// A message of the channel is complete.
+    pub(crate) fn on_message(&mut self, whole: &Whole, at: Instant) {
+        if let Some(channel) = self.of(whole.etag, at) {
+            channel.message = Some(whole.clone());
+        }
     }
 
     /// A frame of the channel was sent. Linear in its publishers, of which there are at most 128.
@@ -190,6 +200,7 @@ impl ChannelSeen {
             rate: Rate::default(),
             frames: 0,
             last: None,
+            message: None,
             latency: Latency::default(),
             used_at: Instant::EPOCH,
         }

@@ -49,6 +49,7 @@ mod doctor;
 mod feed;
 mod latency;
 mod load;
+mod messages;
 mod monitor;
 mod nodes;
 mod plan;
@@ -64,6 +65,6 @@ pub use feed::{Explanation, MOST_NOTICES, Notice, NoticeKind};
 pub use monitor::Monitor;
 pub use plan::{PlanRefused, SegmentPlan};
 pub use snapshot::{
-    ChannelClass, ChannelView, ClockView, ContentView, LatencyView, LinkView, LoadView, NodeView,
-    PublisherView, Share, SlotView, Snapshot, SubscriberView,
+    ChannelClass, ChannelView, ClockView, ContentView, LatencyView, LinkView, LoadView, MessagesView,
+    NodeView, PublisherView, Share, SlotView, Snapshot, SubscriberView,
 };

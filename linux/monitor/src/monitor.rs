@@ -14,6 +14,7 @@ use crate::clock::ListenerClock;
 use crate::decode::{self, Decoded, DecodedField, Meaning};
 use crate::feed::{Feed, News, Notice, NoticeKind};
 use crate::load::Load;
+use crate::messages::{Messages, Whole};
 use crate::nodes::Nodes;
 use crate::plan::SegmentPlan;
 use crate::slots::{Slots, Standing};
@@ -37,6 +38,7 @@ pub struct Monitor {
     pub(crate) slots: Slots,
     pub(crate) load: Load,
     pub(crate) suspects: Suspects,
+    pub(crate) messages: Messages,
     pub(crate) feed: Feed,
     /// When the nodes were asked who they are.
     pub(crate) probed_at: Option<Instant>,
@@ -80,6 +82,7 @@ impl Monitor {
             clock: ListenerClock::new(),
             load: Load::new(now),
             suspects: Suspects::default(),
+            messages: Messages::new(),
             feed: Feed::default(),
             probed_at: None,
         }
@@ -100,6 +103,7 @@ impl Monitor {
         let at = self.advance(at);
         self.link.received += 1;
         self.link.last_at = Some(at);
+        self.messages.forget_whole();
         let bits = bits_of(&WireFrame::from(*frame));
         self.load.add(decode::class_of(frame).0, bits, at, self.bit_rate);
         if names_its_sender(frame.id) {
@@ -170,12 +174,36 @@ impl Monitor {
         self.feed.after(after)
     }
 
-    /// The frame in words, with the names that are known now. It is not taken into account.
+    /// The frame in words, with the names that are known now. It is not taken into account. A frame of a message is shown as
+    /// its bytes; see [`Monitor::decode_whole`].
     pub fn decode(&self, frame: &Frame) -> Decoded {
+        self.decode_as(frame, None)
+    }
+
+    /// The frame that was handed in last, in words, as its subscribers see it: the last frame of a message is the whole
+    /// message, the others are nothing. Which channels carry messages, only the plan says.
+    pub fn decode_whole(&self, frame: &Frame) -> Option<Decoded> {
+        if frame.id.etag().is_reserved() || !self.carries_messages(self.planned_channel(frame.id.etag())) {
+            return Some(self.decode(frame));
+        }
+        Some(self.decode_as(frame, Some(self.messages.whole()?)))
+    }
+
+    /// Returns whether the plan has messages of several frames on this channel of it.
+    pub(crate) fn carries_messages(&self, channel: Option<usize>) -> bool {
+        self.plan.as_ref().zip(channel).is_some_and(|(plan, channel)| plan.carries_messages(channel))
+    }
+
+    /// `message`: the one that this frame has completed.
+    fn decode_as(&self, frame: &Frame, message: Option<&Whole>) -> Decoded {
         let (etag, tx_node) = (frame.id.etag(), frame.id.tx_node());
         let meaning = decode::control(frame);
         let subject = meaning.is_none().then(|| self.subject_of(etag)).flatten();
         let channel = meaning.is_none().then(|| self.planned_channel(etag)).flatten();
+        let data = message.map_or_else(|| frame.payload.to_string(), Whole::data);
+        let content = message.map_or(frame.payload.as_slice(), |message| &message.content);
+        // What stands in a part of a message, only the whole says.
+        let described = channel.filter(|_| message.is_some() || !self.carries_messages(channel));
         Decoded {
             id: frame.id.to_string(),
             class: decode::class_of(frame).1,
@@ -185,9 +213,9 @@ impl Monitor {
             etag: etag.get(),
             channel: channel.zip(self.plan.as_ref()).map(|(at, plan)| plan.channel(at).name.clone()),
             subject: subject.map(|subject| subject.to_string()),
-            data: frame.payload.to_string(),
+            data,
             meaning: meaning.unwrap_or_else(|| {
-                let (fields, malformed) = self.content(channel, frame.payload.as_slice());
+                let (fields, malformed) = self.content(described, content);
                 Meaning::Event { fields, malformed }
             }),
         }
@@ -338,6 +366,11 @@ impl Monitor {
         let (etag, tx_node) = (frame.id.etag(), frame.id.tx_node());
         self.channels.on_event(frame, at);
         let channel = self.planned_channel(etag);
+        if self.carries_messages(channel)
+            && let Some(whole) = self.messages.on_frame(frame, at)
+        {
+            self.channels.on_message(whole, at);
+        }
         let stranger = match (&self.plan, channel) {
             (Some(plan), Some(channel)) => !plan.publishes(tx_node, channel),
             // Channels that the broker binds may be of nobody's plan.

@@ -168,15 +168,17 @@ impl SegmentPlan {
         publishers * f64::from(frames) * 1e9 / recurrence.span().as_ticks().max(1) as f64
     }
 
-    /// The fields of an event of this channel: none if the description does not say what stands in it, or if it is a
-    /// message of several frames.
+    /// Returns whether the channel carries messages of several frames, not events.
+    pub fn carries_messages(&self, channel: usize) -> bool {
+        usize::from(self.channel(channel).length) > Payload::MAX_LEN
+    }
+
+    /// The fields of an event or a whole message of this channel: none if the description does not say what stands in it.
     ///
     /// # Errors
     /// The bytes are no content of the channel.
     pub fn decode(&self, channel: usize, bytes: &[u8]) -> Result<Vec<DecodedField>, NotDecoded> {
-        let channel = self.channel(channel);
-        let layout =
-            self.cluster.layout_of(channel).filter(|_| usize::from(channel.length) <= Payload::MAX_LEN);
+        let layout = self.cluster.layout_of(self.channel(channel));
         let Some(layout) = layout else { return Ok(Vec::new()) };
         Ok(layout.decode(bytes)?.into_iter().map(DecodedField::from).collect())
     }

@@ -27,8 +27,22 @@ pub struct Snapshot {
     pub slots: Vec<SlotView>,
     /// After so many nanoseconds the calendar repeats; 0 without a plan.
     pub cycle_ns: u64,
+    /// Messages of several frames, on the channels that carry such by the plan.
+    pub messages: MessagesView,
     /// Channels, publishers and subscribers that found no place here.
     pub overlooked: u64,
+}
+
+/// Messages of several frames, as a subscriber would have put them together.
+#[derive(Clone, Copy, PartialEq, Eq, Default, Serialize, Debug)]
+pub struct MessagesView {
+    /// Those that came whole.
+    pub whole: u64,
+    /// Those that were given up: a frame was missing, none came any more, the check sum was wrong, or there were too many
+    /// at once.
+    pub dropped: u64,
+    /// Frames of messages whose beginning was not heard, and frames that are part of none.
+    pub stray_frames: u64,
 }
 
 /// What the link tells of itself.
@@ -197,7 +211,7 @@ pub struct ChannelView {
     pub publishers: Vec<PublisherView>,
     /// Who subscribes.
     pub subscribers: Vec<SubscriberView>,
-    /// The last frame.
+    /// The last event, or the last whole message.
     pub last: Option<ContentView>,
     /// Of soft real-time channels.
     pub latency: Option<LatencyView>,
@@ -245,7 +259,7 @@ pub struct SubscriberView {
     pub lease_ns: Option<u64>,
 }
 
-/// The last frame of a channel.
+/// The last event of a channel, or its last whole message.
 #[derive(Clone, PartialEq, Serialize, Debug)]
 pub struct ContentView {
     /// Who sent it.

@@ -29,6 +29,7 @@ impl Monitor {
             channels: self.channel_views(now),
             slots: self.plan.as_ref().map_or_else(Vec::new, |plan| self.slots.views(plan)),
             cycle_ns: self.plan.as_ref().map_or(0, |plan| ticks(plan.cycle())),
+            messages: self.messages.view(),
             overlooked: self.channels.overlooked(),
         }
     }
@@ -132,14 +133,23 @@ impl Monitor {
             period_ns: channel.map(|channel| ticks(channel.recurrence.span())),
             publishers: self.publisher_views(seen, planned, now),
             subscribers: self.subscriber_views(seen, planned, now),
-            last: seen.and_then(|seen| seen.last).map(|last| ContentView {
-                tx_node: last.tx_node.get(),
-                age_ns: ticks(now.saturating_since(last.at)),
-                data: last.payload.to_string(),
-                fields: self.content(planned, last.payload.as_slice()).0,
-            }),
+            last: seen.and_then(|seen| self.last_content(seen, planned, now)),
             latency: seen.and_then(|seen| seen.latency.view()),
         }
+    }
+
+    /// The last event; of a channel of messages the last one that is whole.
+    fn last_content(&self, seen: &ChannelSeen, planned: Option<usize>, now: Instant) -> Option<ContentView> {
+        let view = |tx_node: TxNode, at: Instant, data: String, bytes: &[u8]| ContentView {
+            tx_node: tx_node.get(),
+            age_ns: ticks(now.saturating_since(at)),
+            data,
+            fields: self.content(planned, bytes).0,
+        };
+        if self.carries_messages(planned) {
+            return seen.message.as_ref().map(|it| view(it.tx_node, it.at, it.data(), &it.content));
+        }
+        seen.last.map(|it| view(it.tx_node, it.at, it.payload.to_string(), it.payload.as_slice()))
     }
 
     fn publisher_views(

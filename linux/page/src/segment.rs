@@ -119,8 +119,11 @@ impl Live {
 
     fn line_of(&self, frame: &Frame, at: Instant) -> Line {
         let wire = WireFrame::from(*frame);
-        let decoded = self.monitor.decode(frame);
+        let whole = self.monitor.decode_whole(frame);
+        let is_part = whole.is_none();
+        let decoded = whole.unwrap_or_else(|| self.monitor.decode(frame));
         let said = match decoded.meaning {
+            _ if is_part => Said::Words(format!("part of a message: {}", decoded.data)),
             Meaning::Event { malformed: Some(why), .. } => Said::Words(format!("malformed: {why}")),
             Meaning::Event { fields, malformed: None } if fields.is_empty() => Said::Nothing,
             Meaning::Event { fields, malformed: None } => {

@@ -36,10 +36,15 @@ pub(super) async fn echo(context: &mut Context, options: &Echo) -> Result<ExitCo
         let What::Frame(frame) = tapped.what else { continue };
         let etag = frame.id.etag();
         let wanted = if etag.is_reserved() { options.control } else { chosen.has(&monitor, etag) };
-        if wanted {
-            print(context, tapped.at, &monitor.decode(&frame))?;
+        // A message is printed with its last frame.
+        if let Some(decoded) = monitor.decode_whole(&frame).filter(|_| wanted) {
+            print(context, tapped.at, &decoded)?;
             printed += 1;
         }
+    }
+    let messages = monitor.snapshot(source.now()).messages;
+    if messages.dropped > 0 {
+        eprintln!("cosmic: {} messages had frames missing, and are not shown", messages.dropped);
     }
     if printed == 0 && !context.output.json() {
         eprintln!("cosmic: no event was heard; `cosmic channels` shows what there is");
