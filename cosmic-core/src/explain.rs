@@ -51,8 +51,14 @@ explain! {
             "the calendar has no slot of this node with this etag, period and omission degree that is long \
              enough: plan the channel, or announce it as it was planned",
         Self::OutsidePlan =>
-            "the cluster is sealed, and its plan does not have this channel, or not this node as its publisher: \
-             change the plan",
+            "the plan does not have this channel, or not this node as its publisher, and lets nothing else be \
+             published: change the plan",
+        Self::NoRate =>
+            "the plan does not have this channel, and it states no rate by which it could be asked for: state one \
+             where it is declared, or change the plan",
+        Self::NotAskable =>
+            "the plan does not have this channel, and its rate or deadline is out of the range that can be asked \
+             for: choose microseconds to days, and events of at most eight bytes",
         Self::ReservedSubject => "the subject FFFFFFFFFFFFFFFF is the broker's own: choose another one",
         Self::TooManySlots => "the node has no room for another slot of the calendar: make SLOTS larger",
     }
@@ -70,6 +76,9 @@ explain! {
              declared without context: shorten them, or send a message of several frames",
         Self::QueueFull =>
             "the queue towards the bus is full: publish less often, or make SOFT or NRT larger",
+        Self::NotAdmitted =>
+            "the channel is not in the plan, and the broker has not admitted it: publish again later, ask for less, \
+             or change the plan",
         Self::TooFast =>
             "events come more often than the channel's rate says: publish less often, or state a higher rate \
              where the channel is declared",
@@ -284,6 +293,10 @@ impl ExceptionKind {
             Self::UnplannedPublisher => {
                 "a node announced or published on a channel on which the plan does not let it; its events were \
                  dropped"
+            }
+            Self::NotAdmitted => {
+                "a channel that is not in the plan was not admitted, or is not any more, and is not published; the \
+                 admission state of the channel says why"
             }
             Self::EventOverdue => {
                 "no event of a periodic channel has come for longer than its period and deadline; look at its \

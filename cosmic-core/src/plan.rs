@@ -20,9 +20,11 @@
 //! | `plan::channels::wheel_speed::CHANNEL` | the channel of such a content |
 //! | `plan::nodes::sensor::NODE` | what is this node's own, a [`NodePlan`] |
 //! | `plan::NODES`, `plan::CHANNELS` | all of them, in the order of the description |
+//! | `plan::ADMISSION` | what becomes of soft real-time channels that the plan does not know, an [`AdmissionPlan`] |
 //! | `plan::SEAL` | what a node believes of others, if the cluster is sealed, a [`Seal`] |
 //! | `plan::Capacities` | how much a node has room for, a [`Capacity`](crate::event_half::Capacity) |
 
+use crate::admission::AdmissionPlan;
 use crate::calendar::Calendar;
 use crate::can::filter_banks::FilterBank;
 use crate::can::{Etag, TxNode};
@@ -50,6 +52,8 @@ pub struct NodePlan {
     pub calendar: &'static Calendar,
     /// What it believes of others; `None` if the cluster is not sealed.
     pub seal: Option<&'static Seal>,
+    /// What becomes of soft real-time channels that the plan does not know; `None`: any may be published, unproven.
+    pub admission: Option<&'static AdmissionPlan>,
     /// The channels that it publishes on.
     pub publishes: &'static [Subject],
     /// The channels that it subscribes to.

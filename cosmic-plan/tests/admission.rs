@@ -1,9 +1,8 @@
 //! Admission at run time against the analysis, over random sequences of announcements and withdrawals: what a node
 //! admits, the analysis of the same set accepts; and it admits nearly all that the analysis accepts.
 
-use cosmic_core::Subject;
-use cosmic_core::admission::{Admission, Ask, NotAdmitted, Objection};
-use cosmic_core::can::TxNode;
+use cosmic_core::admission::{Admission, Ask, NotAdmitted, Objection, OtherChannel};
+use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::event_layer::EventRate;
 use cosmic_core::time::{Duration, Instant};
 use cosmic_plan::analysis::reserved::Reserved;
@@ -73,7 +72,7 @@ fn ask(random: &mut Random, scale: u64) -> Ask {
     let rate = EventRate::sporadic(interval).with_burst(random.random_range(1..4)).with_jitter(jitter);
     Ask {
         tx_node: TxNode::new(random.random_range(2..8)).unwrap(),
-        subject: Subject::new(random.random_range(100..140)).unwrap(),
+        etag: Etag::new(random.random_range(1100..1140)).unwrap(),
         rate,
         deadline: Duration::from_micros(random.random_range(500..12_000) * scale),
         len: random.random_range(0..9),
@@ -93,7 +92,7 @@ fn with<'a>(cluster: &Cluster, asks: impl Iterator<Item = &'a Ask>) -> Cluster {
         all.nodes[0].publishes.push(all.channels.len());
         all.channels.push(Channel {
             name: format!("asked{}", all.channels.len()),
-            subject: ask.subject.get(),
+            subject: ask.etag.get().into(),
             etag: None,
             length: ask.len.into(),
             recurrence: Recurrence::Sporadic(ask.rate.interval()),
@@ -133,12 +132,12 @@ fn sequence(seed: u64, counts: &mut Counts) {
         if random.random_bool(0.25) {
             let admitted: Vec<Ask> = admission.admitted().map(|admitted| admitted.ask).collect();
             if let Some(gone) = admitted.get(random.random_range(0..MOST)) {
-                assert!(admission.withdraw(gone.tx_node, gone.subject));
+                assert!(admission.withdraw(gone.tx_node, gone.etag));
             }
             continue;
         }
         let new = ask(&mut random, scale);
-        let is_it = |other: &&Ask| (other.tx_node, other.subject) == (new.tx_node, new.subject);
+        let is_it = |other: &&Ask| (other.tx_node, other.etag) == (new.tx_node, new.etag);
         let others: Vec<Ask> = admission.admitted().map(|admitted| admitted.ask).collect();
         let others: Vec<&Ask> = others.iter().filter(|other| !is_it(other)).collect();
         let holds = |last: &Ask| assess(&with(&cluster, others.iter().copied().chain([last])), &plan).holds();
@@ -147,9 +146,13 @@ fn sequence(seed: u64, counts: &mut Counts) {
         counts.acceptable += u32::from(acceptable);
         let answer = admission.ask(now, &new, LEASE);
         match answer.map_err(|refused| refused.why) {
-            Err(Objection::Suffers(subject)) => {
-                let known = reservations.soft.iter().map(|soft| soft.subject);
-                assert!(known.chain(others.iter().map(|other| other.subject)).any(|known| known == subject));
+            Err(Objection::Suffers(other)) => {
+                assert!(match other {
+                    OtherChannel::Planned(subject) => {
+                        reservations.soft.iter().any(|soft| soft.subject == subject)
+                    }
+                    OtherChannel::Admitted(etag) => others.iter().any(|other| other.etag == etag),
+                });
                 counts.suffers += 1;
             }
             Err(Objection::LessUrgent(_)) => counts.less_urgent += 1,
@@ -207,9 +210,9 @@ fn a_refusal_says_why_and_what_would_fit() {
     let reserved = two();
     let reservations = reserved.reservations();
     let mut admission = Admission::<'_, 2>::new(&reservations);
-    let of = |subject, rate, deadline| Ask {
+    let of = |number: u16, rate, deadline| Ask {
         tx_node: TxNode::new(2).unwrap(),
-        subject: Subject::new(subject).unwrap(),
+        etag: Etag::new(1100 + number).unwrap(),
         rate,
         deadline: Duration::from_micros(deadline),
         len: 8,
@@ -235,10 +238,10 @@ fn a_refusal_says_why_and_what_would_fit() {
     assert_eq!(admission.ask(later, &advised, LEASE), Ok(()));
     assert_eq!(admission.next_wakeup(), now + LEASE);
     assert_eq!(admission.ask(now + LEASE, &of(9, every(90_000), 9_000), LEASE), Ok(()), "8 has ended");
-    let left: Vec<u64> = admission.admitted().map(|admitted| admitted.ask.subject.get()).collect();
-    assert_eq!(left, [7, 9]);
+    let left: Vec<u16> = admission.admitted().map(|admitted| admitted.ask.etag.get()).collect();
+    assert_eq!(left, [1107, 1109]);
     // One who stands by enters what it hears, without a test.
     let mut standby = Admission::<'_, 2>::new(&reservations);
     assert_eq!(standby.mirror(later, &advised, LEASE), Ok(()));
-    assert!(standby.withdraw(advised.tx_node, advised.subject) && standby.admitted().next().is_none());
+    assert!(standby.withdraw(advised.tx_node, advised.etag) && standby.admitted().next().is_none());
 }

@@ -53,6 +53,7 @@ fn plans_compile_and_their_channels_take_what_fits() {
     let bursty = EXAMPLE.replace("min_interarrival = \"4 ms\"", "min_interarrival = \"4 ms\"\nburst = 3");
     let sealed = EXAMPLE.replace("[segment]", "[segment]\nsealed = true\nbrokers = [\"brake\"]");
     let stepped = EXAMPLE.replace("[segment]", "[segment]\npriority_step = \"1 ms\"");
+    let refusing = EXAMPLE.replace("[segment]", "[segment]\nunplanned = \"refuse\"");
     let clockless = EXAMPLE.replace("sync_period = \"25 ms\"", "sync_period = \"0 s\"");
     let plans = [
         ("vehicle", rendered(EXAMPLE)),
@@ -63,9 +64,11 @@ fn plans_compile_and_their_channels_take_what_fits() {
         ("clockless", rendered(&clockless)),
         ("bursty", rendered(&bursty)),
         ("sealed", rendered(&sealed)),
+        ("refusing", rendered(&refusing)),
     ];
     assert!(plans[3].1.contains("etag: None") && !plans[0].1.contains("etag: None"));
     let code = r"
+use cosmic_core::admission::Unplanned;
 use cosmic_core::event_layer::{Bytes, Channel};
 /// Longer than a frame.
 pub const DIARY: first::channels::diary::MessageChannel<Bytes<40>> = first::channels::diary::channel();
@@ -85,6 +88,11 @@ const _: () = {
     assert!(!bursty::channels::logbook::RATE.is_periodic());
     assert!(vehicle::nodes::brake::NODE.seal.is_none() && sealed::nodes::brake::NODE.seal.is_some());
     assert!(sealed::SEAL.nodes.len() == 3 && sealed::SEAL.channels.len() == 5 && sealed::SEAL.brokers.len() == 1);
+    assert!(vehicle::nodes::brake::NODE.admission.is_none() && sealed::nodes::brake::NODE.admission.is_none());
+    assert!(brokered::nodes::brake::NODE.admission.is_some());
+    assert!(matches!(brokered::ADMISSION.unplanned, Unplanned::Ask));
+    assert!(matches!(refusing::ADMISSION.unplanned, Unplanned::Refuse));
+    assert!(refusing::ADMISSION.planned.len() == 3 && refusing::ADMISSION.reservations.soft.len() == 3);
     assert!(matches!(sealed::SEAL.nodes[2].rank, Some(rank) if rank.get() == 2));
     assert!(vehicle::nodes::brake::NODE.sync.is_some() && clockless::nodes::brake::NODE.sync.is_none());
     assert!(matches!(vehicle::nodes::brake::RANK, Some(rank) if rank.get() == 1));

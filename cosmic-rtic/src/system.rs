@@ -55,7 +55,7 @@ impl Timed for ClockService {
     fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
         let config = node.sync.ok_or(StartError::NoSync)?;
         let new = Self::new(config, node.calendar, Some(node.tx_node), now).map_err(StartError::Sync)?;
-        Ok(new.sealed(node.seal))
+        Ok(new.sealed(node.seal).admitting(node.admission, node.uid))
     }
 
     fn clock(&self) -> GlobalClock {

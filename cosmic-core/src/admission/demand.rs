@@ -1,10 +1,9 @@
 //! The test itself; its reason stands in the [module above](super).
 
-use super::reservations::{Load, Reservations, SoftLoad, WHOLE};
-use super::{Admission, Admitted, Ask, Objection};
+use super::reservations::{Load, Reservations, WHOLE};
+use super::{Admission, Admitted, Ask, Objection, OtherChannel};
 use crate::can::Payload;
 use crate::event_layer::EventRate;
-use crate::time::Duration;
 
 /// What is on the bus, without one of the admitted channels that may be asked for anew.
 pub(super) struct Demand<'a> {
@@ -18,7 +17,24 @@ pub(super) struct Demand<'a> {
 struct Stream {
     load: Load,
     deadline: u64,
-    whose: Option<crate::Subject>,
+    /// `None`: that of the channel which is asked for.
+    whose: Option<OtherChannel>,
+}
+
+/// How far the walk over the points has come at which the work with earlier deadlines grows.
+#[derive(Clone, Copy, Default, Debug)]
+pub(super) struct Walk {
+    /// `None`: it has not begun.
+    next: Option<u64>,
+    looked_at: u16,
+}
+
+/// What was seen at a point.
+enum Seen {
+    /// All that comes later is sent in time, too.
+    Enough,
+    Late(Objection),
+    Next(u64),
 }
 
 impl<'a> Demand<'a> {
@@ -30,62 +46,75 @@ impl<'a> Demand<'a> {
         Self { reservations, admitted, except }
     }
 
-    /// Whether this one fits besides. See [`Admission::ask`] for the work.
-    pub(super) fn admits(&self, ask: &Ask) -> Result<(), Objection> {
-        let own = self.soft_load(ask).ok_or(Objection::Blocking)?;
-        let new = self.stream(&own, None);
+    /// Goes on with the question whether this one fits besides, by so many points of time; `None`: not decided yet. See
+    /// [`Admission::step`] for the work.
+    pub(super) fn advance(&self, ask: &Ask, walk: &mut Walk, points: u16) -> Option<Result<(), Objection>> {
+        let Some(new) = self.asked(ask, None) else { return Some(Err(Objection::Blocking)) };
         let streams = || self.streams().chain([new]);
-        self.leaves_the_bus_idle_now_and_then(&streams)?;
-        self.leaves_room_for_less_urgent(&new)?;
-        self.sends_what_is_beyond_the_band(&streams)?;
-        self.walk(&streams)
-    }
-
-    /// The shortest longer interval found at which it fits.
-    pub(super) fn fits_at(&self, ask: &Ask, why: Objection) -> Option<Duration> {
-        if matches!(why, Objection::Blocking | Objection::Full) {
-            return None;
-        }
-        let with = |ticks: u64| {
-            let rate = ask.rate.with_interval(Duration::from_ticks(ticks))?;
-            self.admits(&Ask { rate, ..*ask }).is_ok().then_some(ticks)
-        };
-        let mut refused = ask.rate.interval().as_ticks();
-        let mut fits = (0..DOUBLINGS).find_map(|_| {
-            let longer = refused.saturating_mul(2);
-            let fits = with(longer);
-            if fits.is_none() {
-                refused = longer;
-            }
-            fits
-        })?;
-        for _ in 0..HALVINGS {
-            let middle = refused.midpoint(fits);
-            match with(middle) {
-                Some(middle) => fits = middle,
-                None => refused = middle,
+        if walk.next.is_none() {
+            let first = self.passes_at_a_glance(&new, &streams).map(|()| self.first_point(&streams));
+            match first {
+                Err(why) => return Some(Err(why)),
+                Ok(None) => return Some(Ok(())),
+                Ok(first) => walk.next = first,
             }
         }
-        Some(Duration::from_ticks(fits))
+        for _ in 0..points {
+            let point = walk.next?;
+            walk.looked_at = walk.looked_at.saturating_add(1);
+            match self.look_at(point, &streams) {
+                Seen::Enough => return Some(Ok(())),
+                Seen::Late(why) => return Some(Err(why)),
+                Seen::Next(next) => walk.next = Some(next),
+            }
+            if walk.looked_at >= Admission::<'_, 0>::MOST_POINTS {
+                return Some(Err(Objection::Utilisation));
+            }
+        }
+        None
     }
 
-    fn soft_load(&self, ask: &Ask) -> Option<SoftLoad> {
+    /// What needs no walk.
+    fn passes_at_a_glance<I: Iterator<Item = Stream>>(
+        &self,
+        new: &Stream,
+        streams: &impl Fn() -> I,
+    ) -> Result<(), Objection> {
+        self.leaves_the_bus_idle_now_and_then(streams)?;
+        self.leaves_room_for_less_urgent(new)?;
+        self.sends_what_is_beyond_the_band(streams)
+    }
+
+    /// How many streams a point is about.
+    pub(super) fn count(&self) -> usize {
+        self.streams().count().saturating_add(1).saturating_add(self.reservations.above.len())
+    }
+
+    /// `None` if nothing with such a deadline or length can be sent.
+    fn asked(&self, ask: &Ask, whose: Option<OtherChannel>) -> Option<Stream> {
         let len = usize::from(ask.len);
         let transmission = self.reservations.bit_rate.longest_frame(len);
         let load = Load { transmission, interval: ask.rate.enforced(), tolerance: ask.rate.tolerance() };
         let fits = len <= Payload::MAX_LEN && !ask.deadline.is_zero() && ask.deadline <= EventRate::LONGEST;
-        fits.then_some(SoftLoad { load, deadline: ask.deadline, subject: ask.subject })
+        fits.then_some(Stream {
+            load: self.reservations.with_slip(load),
+            deadline: ask.deadline.as_ticks(),
+            whose,
+        })
     }
 
     fn streams(&self) -> impl Iterator<Item = Stream> + '_ {
-        let planned = self.reservations.soft.iter().copied();
+        let planned = self.reservations.soft.iter().map(|of| Stream {
+            load: self.reservations.with_slip(of.load),
+            deadline: of.deadline.as_ticks(),
+            whose: Some(OtherChannel::Planned(of.subject)),
+        });
         let others = self.admitted.iter().enumerate().filter(|(at, _)| Some(*at) != self.except);
-        let admitted = others.filter_map(|(_, place)| self.soft_load(&place.as_ref()?.ask));
-        planned.chain(admitted).map(|load| self.stream(&load, Some(load.subject)))
-    }
-
-    fn stream(&self, of: &SoftLoad, whose: Option<crate::Subject>) -> Stream {
-        Stream { load: self.reservations.with_slip(of.load), deadline: of.deadline.as_ticks(), whose }
+        let admitted = others.filter_map(|(_, place)| {
+            let ask = &place.as_ref()?.ask;
+            self.asked(ask, Some(OtherChannel::Admitted(ask.etag)))
+        });
+        planned.chain(admitted)
     }
 
     /// All together take less than the whole bus, and so much less that it is idle soon enough for the analysis: that looks
@@ -142,34 +171,36 @@ impl<'a> Demand<'a> {
         Err(beyond.whose.map_or(Objection::Late, Objection::Suffers))
     }
 
-    /// From one point to the next at which the work with earlier deadlines grows.
-    fn walk<I: Iterator<Item = Stream>>(&self, streams: &impl Fn() -> I) -> Result<(), Objection> {
+    /// The earliest deadline in the band.
+    fn first_point<I: Iterator<Item = Stream>>(&self, streams: &impl Fn() -> I) -> Option<u64> {
+        self.firsts(streams).min()
+    }
+
+    fn firsts<I: Iterator<Item = Stream>>(&self, streams: &impl Fn() -> I) -> impl Iterator<Item = u64> {
         let (step, horizon) = (self.reservations.step(), self.reservations.horizon());
-        let firsts = || {
-            let near = streams().filter(|stream| stream.deadline < horizon);
-            near.map(|stream| stream.deadline.saturating_add(step))
-        };
-        let Some(mut point) = firsts().min() else { return Ok(()) };
-        for _ in 0..Admission::<'_, 0>::MOST_POINTS {
-            let room = point.saturating_sub(step);
-            let mut demand = self.reservations.blocking().saturating_add(self.reservations.others(room));
-            let mut line = self.reservations.blocking().saturating_add(self.reservations.others_line(room));
-            let mut next = firsts().filter(|first| *first > point).min().unwrap_or(u64::MAX);
-            for stream in streams() {
-                demand = demand.saturating_add(stream.work(point, room, self.reservations.bit()));
-                line = line.saturating_add(stream.line(point));
-                next = next.min(stream.grows_after(point));
-            }
-            if demand > room {
-                return Err(self.late_at(point, streams));
-            }
-            // The line grows no faster than time.
-            if line <= room {
-                return Ok(());
-            }
-            point = next;
+        let near = streams().filter(move |stream| stream.deadline < horizon);
+        near.map(move |stream| stream.deadline.saturating_add(step))
+    }
+
+    /// A point, and which is the next at which the work with earlier deadlines grows.
+    fn look_at<I: Iterator<Item = Stream>>(&self, point: u64, streams: &impl Fn() -> I) -> Seen {
+        let room = point.saturating_sub(self.reservations.step());
+        let mut demand = self.reservations.blocking().saturating_add(self.reservations.others(room));
+        let mut line = self.reservations.blocking().saturating_add(self.reservations.others_line(room));
+        let mut next = self.firsts(streams).filter(|first| *first > point).min().unwrap_or(u64::MAX);
+        for stream in streams() {
+            demand = demand.saturating_add(stream.work(point, room, self.reservations.bit()));
+            line = line.saturating_add(stream.line(point));
+            next = next.min(stream.grows_after(point));
         }
-        Err(Objection::Utilisation)
+        if demand > room {
+            Seen::Late(self.late_at(point, streams))
+        } else if line <= room {
+            // The line grows no faster than time.
+            Seen::Enough
+        } else {
+            Seen::Next(next)
+        }
     }
 
     /// Who is late at this point: the one with the latest deadline that is not behind it.
@@ -177,7 +208,7 @@ impl<'a> Demand<'a> {
         let room = point.saturating_sub(self.reservations.step());
         let late = streams().filter(|stream| stream.deadline <= room).max_by_key(|stream| stream.deadline);
         match late {
-            Some(Stream { whose: Some(subject), .. }) => Objection::Suffers(subject),
+            Some(Stream { whose: Some(other), .. }) => Objection::Suffers(other),
             // Alone it would not fit either.
             Some(own) if self.is_too_short(&own) => Objection::Blocking,
             _ => Objection::Late,
@@ -216,12 +247,6 @@ impl Stream {
         self.deadline.saturating_add(from_deadline)
     }
 }
-
-/// How often the interval is doubled to find one that fits.
-pub(super) const DOUBLINGS: u8 = 6;
-
-/// How often the span between one that fits and one that does not is halved.
-pub(super) const HALVINGS: u8 = 3;
 
 /// How many points the analysis of the planner looks at one by one.
 const MOST_BUSY_POINTS: u64 = 2_000;

@@ -22,12 +22,20 @@
 //! Channels with deadlines of 248 Δt_p and more are not in the order of deadlines before that time; for them it
 //! suffices that all that can be pending then is sent within 248 Δt_p.
 
+mod control;
 mod demand;
+mod plan;
 mod reservations;
+mod timing;
+mod trial;
 
+pub use control::{AdmissionControl, AdmissionCounters};
+pub use plan::{AdmissionPlan, Offer, PlannedPublication, Unplanned};
 pub use reservations::{CalendarDemand, Faults, Guarded, Load, Reservations, SoftLoad};
+pub use timing::AdmissionTiming;
+pub use trial::Trial;
 
-use crate::can::TxNode;
+use crate::can::{Etag, TxNode};
 use crate::event_layer::EventRate;
 use crate::time::{Duration, Instant};
 use crate::uid::Subject;
@@ -39,8 +47,8 @@ use demand::Demand;
 pub struct Ask {
     /// Who will publish.
     pub tx_node: TxNode,
-    /// The channel.
-    pub subject: Subject,
+    /// The channel, which is bound before it is asked for.
+    pub etag: Etag,
     /// How often.
     pub rate: EventRate,
     /// From publication until an event is to be sent.
@@ -59,12 +67,22 @@ pub enum Objection {
     Blocking,
     /// The channel itself might be late.
     Late,
-    /// This channel might be late, which is planned or was admitted before.
-    Suffers(Subject),
+    /// This channel might be late.
+    Suffers(OtherChannel),
     /// A non real-time or foreign frame with a deadline might be late, which is planned.
     LessUrgent(u16),
     /// As many channels are admitted as there is room for.
     Full,
+}
+
+/// A soft real-time channel that is on the segment already.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum OtherChannel {
+    /// It is planned.
+    Planned(Subject),
+    /// It was admitted before.
+    Admitted(Etag),
 }
 
 /// A channel is not admitted.
@@ -99,7 +117,7 @@ impl<'a, const N: usize> Admission<'a, N> {
     pub const MOST_POINTS: u16 = 256;
 
     /// How many tests an answer takes, at most: one, and those for what would fit.
-    pub const MOST_TESTS: u8 = 1 + demand::DOUBLINGS + demand::HALVINGS;
+    pub const MOST_TESTS: u8 = 1 + trial::DOUBLINGS + trial::HALVINGS;
 
     /// Nothing is admitted yet.
     pub const fn new(reservations: &'a Reservations<'a>) -> Self {
@@ -114,23 +132,61 @@ impl<'a, const N: usize> Admission<'a, N> {
     /// Admits a channel for this long, or says why not. One that was admitted and is asked for again, as it was, goes on
     /// without a test: who was there first does not lose to who came later.
     ///
-    /// O([`MOST_TESTS`](Self::MOST_TESTS) · [`MOST_POINTS`](Self::MOST_POINTS) · all channels).
+    /// O([`MOST_TESTS`](Self::MOST_TESTS) · [`MOST_POINTS`](Self::MOST_POINTS) · all channels). For less in one call, use
+    /// [`begin`](Self::begin) and [`step`](Self::step).
     ///
     /// # Errors
     /// [`NotAdmitted`]; what was admitted to this node on this channel before goes on as it was.
     pub fn ask(&mut self, now: Instant, ask: &Ask, lease: Duration) -> Result<(), NotAdmitted> {
+        if self.renew(now, ask, lease) {
+            return Ok(());
+        }
+        let mut trial = self.begin(ask);
+        loop {
+            if let Some(answer) = self.step(&mut trial, now, lease, Self::MOST_POINTS) {
+                return answer;
+            }
+        }
+    }
+
+    /// Lets a channel go on for this long, if it was admitted exactly as it is asked for now. Returns whether it was. O(`N`).
+    pub fn renew(&mut self, now: Instant, ask: &Ask, lease: Duration) -> bool {
         self.expire(now);
-        let known = self.position(ask.tx_node, ask.subject);
+        let place = self.position(ask.tx_node, ask.etag).and_then(|at| self.admitted.get_mut(at));
+        let same = place.and_then(Option::as_mut).filter(|known| known.ask == *ask);
+        same.map(|known| known.expires_at = now + lease).is_some()
+    }
+
+    /// Begins to answer a question. Others may be withdrawn or expire meanwhile, but only one may be answered at a time.
+    pub fn begin(&self, ask: &Ask) -> Trial {
+        Trial::new(ask)
+    }
+
+    /// Goes on to answer a question; `None`: not decided yet. O(`points` · all channels), and it is decided after
+    /// [`MOST_TESTS`](Self::MOST_TESTS) · [`MOST_POINTS`](Self::MOST_POINTS) points.
+    ///
+    /// The answer may be an error, as of [`ask`](Self::ask).
+    pub fn step(
+        &mut self,
+        trial: &mut Trial,
+        now: Instant,
+        lease: Duration,
+        points: u16,
+    ) -> Option<Result<(), NotAdmitted>> {
+        self.expire(now);
+        let ask = *trial.ask();
+        let known = self.position(ask.tx_node, ask.etag);
+        let full = Err(NotAdmitted { why: Objection::Full, fits_at: None });
         if known.is_none() && !self.admitted.iter().any(Option::is_none) {
-            return Err(NotAdmitted { why: Objection::Full, fits_at: None });
+            return Some(full);
         }
-        let same =
-            known.and_then(|at| self.admitted.get(at)?.as_ref()).is_some_and(|known| known.ask == *ask);
-        if !same {
-            let demand = Demand::new(self.reservations, &self.admitted, known);
-            demand.admits(ask).map_err(|why| NotAdmitted { why, fits_at: demand.fits_at(ask, why) })?;
-        }
-        self.enter(known, ask, now + lease).map_err(|why| NotAdmitted { why, fits_at: None })
+        let decided = trial.advance(&Demand::new(self.reservations, &self.admitted, known), points)?;
+        Some(decided.and_then(|()| self.enter(known, &ask, now + lease).or(full)))
+    }
+
+    /// How many channels a point is about, in [`step`](Self::step).
+    pub fn channels(&self) -> usize {
+        Demand::new(self.reservations, &self.admitted, None).count()
     }
 
     /// Enters what somebody else has admitted, without a test: for one who stands by.
@@ -139,13 +195,25 @@ impl<'a, const N: usize> Admission<'a, N> {
     /// [`Objection::Full`].
     pub fn mirror(&mut self, now: Instant, ask: &Ask, lease: Duration) -> Result<(), Objection> {
         self.expire(now);
-        self.enter(self.position(ask.tx_node, ask.subject), ask, now + lease)
+        self.enter(self.position(ask.tx_node, ask.etag), ask, now + lease)
     }
 
     /// The node does not publish on the channel any more. Returns whether it was admitted. O(`N`).
-    pub fn withdraw(&mut self, tx_node: TxNode, subject: Subject) -> bool {
-        let place = self.position(tx_node, subject).and_then(|at| self.admitted.get_mut(at));
+    pub fn withdraw(&mut self, tx_node: TxNode, etag: Etag) -> bool {
+        let place = self.position(tx_node, etag).and_then(|at| self.admitted.get_mut(at));
         place.is_some_and(|place| place.take().is_some())
+    }
+
+    /// Withdraws all of a node. O(`N`).
+    pub fn withdraw_all(&mut self, tx_node: TxNode) {
+        for place in &mut self.admitted {
+            place.take_if(|admitted| admitted.ask.tx_node == tx_node);
+        }
+    }
+
+    /// Ends everything. O(`N`).
+    pub fn clear(&mut self) {
+        self.admitted = [None; N];
     }
 
     /// Ends what was not asked for again. O(`N`).
@@ -166,9 +234,9 @@ impl<'a, const N: usize> Admission<'a, N> {
         Ok(())
     }
 
-    fn position(&self, tx_node: TxNode, subject: Subject) -> Option<usize> {
+    fn position(&self, tx_node: TxNode, etag: Etag) -> Option<usize> {
         let is_it = |place: &Option<Admitted>| {
-            place.is_some_and(|it| (it.ask.tx_node, it.ask.subject) == (tx_node, subject))
+            place.is_some_and(|it| (it.ask.tx_node, it.ask.etag) == (tx_node, etag))
         };
         self.admitted.iter().position(is_it)
     }

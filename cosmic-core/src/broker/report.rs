@@ -1,5 +1,6 @@
 //! What a broker is told at its start, and what it tells.
 
+use crate::admission::Objection;
 use crate::can::{Etag, TxNode};
 use crate::time::Duration;
 use crate::uid::{NodeUid, Subject};
@@ -101,6 +102,22 @@ pub enum BrokerEvent {
     /// The broker of the node with this TxNode has the UID of this one. The one with the lower TxNode stays; give each
     /// node a UID of its own. Told once in [`BrokerTiming::named`].
     Namesake(TxNode),
+    /// A soft real-time channel that the plan does not know was admitted.
+    Admitted {
+        /// The node that publishes it.
+        tx_node: TxNode,
+        /// The channel.
+        etag: Etag,
+    },
+    /// It was not admitted, or not any more.
+    NotAdmitted {
+        /// The node that asked.
+        tx_node: TxNode,
+        /// The channel.
+        etag: Etag,
+        /// Why.
+        why: Objection,
+    },
     /// Another broker answers, which does not say who it is: an old one. This broker stands by if it heard of
     /// it in time. Two that answer give ids and etags twice; switch one of them off.
     ForeignBroker,

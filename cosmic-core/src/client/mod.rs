@@ -4,6 +4,7 @@
 //! * [`Configuration`] turns the node's long UID into a TxNode that no other node has, and keeps watch
 //!   that it stays so.
 //! * [`Binding`] turns subjects into etags.
+//! * [`AdmissionClient`] asks for soft real-time channels that the plan does not know.
 //!
 //! The [broker](crate::broker) serves both. A cluster in which all ids and etags are fixed needs none.
 //!
@@ -22,10 +23,12 @@
 //! A `poll` that comes late delays the protocol, and one that comes early does nothing. Lost, repeated
 //! and delayed frames cost time, never a wrong id: each step is repeated until it is answered.
 
+mod admission;
 mod binding;
 mod configuration;
 mod report;
 
+pub use admission::{AdmissionClient, AdmissionEvent, AdmissionState, CannotAsk};
 pub use binding::{Binding, BindingEvent, BindingFull, BindingTiming};
 pub use configuration::Configuration;
 pub use report::{ConfigurationEvent, ConfigurationTiming, OnDuplicate};

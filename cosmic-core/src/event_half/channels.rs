@@ -163,6 +163,13 @@ impl<
                 }
                 Ok(Due::NOTHING)
             }
+            Published::Soft(outgoing) if !PLAIN && self.layer.is_demoted(tag) => {
+                let frame = outgoing.frame;
+                let frame = Frame::new(frame.id.with_priority(Priority::LEAST), frame.payload);
+                let outgoing = Outgoing { frame, ..outgoing };
+                let submitted = self.etch.submit_non_real_time(now, outgoing);
+                self.conclude(now, outgoing, submitted)
+            }
             Published::Soft(outgoing) => {
                 let submitted = self.etch.submit_soft(now, outgoing);
                 self.conclude(now, outgoing, submitted)
@@ -351,15 +358,15 @@ impl<
             etag: declared.etag,
             class: declared.attributes.class(),
             layout: declared.layout,
+            offer: declared.offer(),
             publishes,
             subscribes,
         };
-        if !self.services.permits(&declaration) {
-            return Err(AnnounceError::OutsidePlan);
-        }
+        let gate = self.services.permits(&declaration)?;
         self.services.declare(&declaration).map_err(|TooMany| AnnounceError::TooManyChannels)?;
         if !matches!(declared.attributes, Attributes::Hard(_)) {
             self.layer.set_publishers(declared.subject, self.services.publishers(declared.subject));
+            self.layer.set_gate(declared.subject, gate);
         }
         Ok(())
     }

@@ -248,6 +248,10 @@ impl<
                 }
                 Ok(None)
             }
+            Request::Gate(subject, gate) => {
+                self.layer.set_gate(subject, gate);
+                Ok(None)
+            }
             Request::Exception(subject, kind) => {
                 self.raise(subject, kind, now);
                 Ok(None)

@@ -260,7 +260,11 @@ impl<
                 ExceptionKind::IdentifierLost
             }
         };
-        self.raise(self.layer.subject(exception.tag), kind, at);
+        let subject = self.layer.subject(exception.tag);
+        if let Some(subject) = subject {
+            self.services.on_late(subject, at);
+        }
+        self.raise(subject, kind, at);
     }
 
     fn raise(&mut self, subject: Option<Subject>, kind: ExceptionKind, at: Instant) {

@@ -4,7 +4,9 @@ use super::attributes::{Attributes, HardAttributes, NonRealTimeAttributes, SoftA
 use super::content::Content;
 use super::filter::Filter;
 use super::pool::List;
+use super::protection::Gate;
 use super::rate::{EventRate, Guard};
+use crate::admission::Offer;
 use crate::can::{Etag, Id, Priority, TxNode, TxNodes};
 use crate::network::hard::BufferId;
 use crate::network::soft::Tag;
@@ -139,9 +141,26 @@ impl<C: Content> Channel<C> {
         self.declared.subject
     }
 
+    /// How often its events come, if that is stated.
+    pub const fn rate(&self) -> Option<EventRate> {
+        self.declared.rate
+    }
+
     /// Its quality.
     pub const fn attributes(&self) -> Attributes {
         self.declared.attributes
+    }
+}
+
+impl Declared {
+    /// What it is to be, if it is a soft real-time channel.
+    pub(crate) fn offer(&self) -> Option<Offer> {
+        match self.attributes {
+            Attributes::Soft(SoftAttributes { deadline, .. }) => {
+                Some(Offer { rate: self.rate, deadline, len: self.len })
+            }
+            Attributes::Hard(_) | Attributes::NonRealTime(_) => None,
+        }
     }
 }
 
@@ -229,8 +248,9 @@ pub(super) struct Entry {
     pub(super) etag: Option<Etag>,
     /// What the frames of its events are called. Closed if the channel has a rate, but for the event that is charged.
     pub(super) outlet: Outlet,
-    /// The outlet of a channel with a rate.
+    /// The outlet of a channel with a rate, or one that is sent as non real-time.
     pub(super) guarded_outlet: Outlet,
+    pub(super) gate: Gate,
     pub(super) guard: Guard,
     /// In a sealed cluster: whose events are taken. Not for hard real-time channels, where the calendar says so.
     pub(super) publishers: Option<&'static TxNodes>,
@@ -252,6 +272,7 @@ impl Entry {
             etag: None,
             outlet: Outlet::CLOSED,
             guarded_outlet: Outlet::CLOSED,
+            gate: Gate::Open,
             guard,
             publishers: None,
             overdue_at: Instant::FAR_FUTURE,

@@ -18,8 +18,14 @@ pub enum AnnounceError {
     NotInCalendar,
     /// The node takes part in as many slots as it has room for: make `SLOTS` larger.
     TooManySlots,
-    /// The plan of the cluster is sealed, and does not have this channel, or not this node as its publisher.
+    /// The plan of the cluster does not have this channel, or not this node as its publisher, and is sealed or lets nothing
+    /// be published that it does not know.
     OutsidePlan,
+    /// The plan does not have this soft real-time channel, so it has to be asked for, and it states no rate to ask for.
+    NoRate,
+    /// The plan does not have this soft real-time channel, and its rate or deadline is out of the range that can be asked
+    /// for.
+    NotAskable,
     /// The subject is [reserved](crate::Subject::RESERVED) for brokers.
     ReservedSubject,
 }

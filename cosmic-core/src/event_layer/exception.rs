@@ -100,6 +100,8 @@ exception_kinds! {
     UnplannedNode = "node outside the plan",
     /// Sealed node: a node announced or published on a channel whose publisher it is not, and was not believed.
     UnplannedPublisher = "publisher outside the plan",
+    /// Publisher: a channel that the plan does not know was not admitted, or is not any more.
+    NotAdmitted = "channel not admitted",
 }
 
 impl ExceptionKind {

@@ -10,6 +10,7 @@ use super::delivery::{Accepted, Delivered, Received, decode};
 use super::error::{AnnounceError, SubscribeError};
 use super::filter::{Context, Filter};
 use super::pool::{Pool, PoolFull};
+use super::protection::Gate;
 use super::rate::Guard;
 use crate::can::{Etag, Frame, TxNode, TxNodes};
 use crate::network::hard::BufferId;
@@ -446,13 +447,15 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     }
 
     /// Something has changed that decides where frames of a channel go, or what they are called.
-    fn update(&mut self, at: u8) {
+    pub(super) fn update(&mut self, at: u8) {
         let Some(Some(entry)) = self.channels.get_mut(usize::from(at)) else { return };
         let outlet = match (self.tx_node, entry.etag) {
-            (Some(tx_node), Some(etag)) if entry.announcements > 0 => Outlet::new(tx_node, etag),
+            (Some(tx_node), Some(etag)) if entry.announcements > 0 && entry.gate != Gate::Closed => {
+                Outlet::new(tx_node, etag)
+            }
             _ => Outlet::CLOSED,
         };
-        let guarded = entry.declared.rate.is_some();
+        let guarded = entry.declared.rate.is_some() || entry.gate == Gate::NonRealTime;
         entry.outlet = if guarded { Outlet::CLOSED } else { outlet };
         entry.guarded_outlet = if guarded { outlet } else { Outlet::CLOSED };
         let awaited = entry.declared.patience().is_some();

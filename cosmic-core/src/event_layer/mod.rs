@@ -26,6 +26,7 @@ pub use error::{AnnounceError, SubscribeError};
 pub use exception::{Exception, ExceptionKind};
 pub use filter::{Attribute, Context, Filter, NoRoom};
 pub use layer::EventLayer;
+pub use protection::Gate;
 pub use publish::{Event, PublishError, Published};
 pub use rate::EventRate;
 

@@ -1,5 +1,5 @@
-//! Bus protection: the channels of a node are held to their [rates](super::rate), and subscribers of periodic ones
-//! are told of events that do not come.
+//! Bus protection: the channels of a node are held to their [rates](super::rate), those that the plan does not know wait
+//! until they are admitted, and subscribers of periodic ones are told of events that do not come.
 
 use super::attributes::Attributes;
 use super::channel::{Declared, Entry, Outlet};
@@ -9,9 +9,36 @@ use crate::network::soft::Tag;
 use crate::time::{Duration, Instant};
 use crate::uid::Subject;
 
+/// Whether this node may publish on a channel that it has announced.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Gate {
+    /// It may.
+    Open,
+    /// It may not, because the channel is not [admitted](crate::admission).
+    Closed,
+    /// It may, but its events are sent as non real-time ones of the least importance.
+    NonRealTime,
+}
+
 impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>
 {
+    /// Whether this node may publish on a channel from now on. O(CHANNELS).
+    pub(crate) fn set_gate(&mut self, subject: Subject, gate: Gate) {
+        let Some(tag) = self.tag_of(subject) else { return };
+        if let Some(entry) = self.entry_mut(tag.0) {
+            entry.gate = gate;
+        }
+        self.update(tag.0);
+    }
+
+    /// Returns whether events of the channel are sent as non real-time ones, though it is a soft real-time one.
+    pub(crate) fn is_demoted(&self, tag: Tag) -> bool {
+        let entry = self.channels.get(usize::from(tag.0)).and_then(Option::as_ref);
+        entry.is_some_and(|entry| entry.gate == Gate::NonRealTime)
+    }
+
     /// Nothing can be published on the channel: but if that is only for its rate, it is charged for one event and opened
     /// for it, until [`close`](Self::close). A channel with a rate is closed otherwise, so that the others need not ask
     /// whether they have one.

@@ -5,6 +5,7 @@ use super::channel::Entry;
 use super::content::Content;
 use super::filter::Context;
 use super::layer::EventLayer;
+use super::protection::Gate;
 use crate::can::{Frame, Payload, Priority};
 use crate::network::hard::BufferId;
 use crate::network::soft::{Outgoing, Tag};
@@ -29,6 +30,9 @@ pub enum PublishError {
     TooLong,
     /// The queue towards the bus is full.
     QueueFull,
+    /// The channel is not in the plan, and the broker's node has not [admitted](crate::admission) it: not yet, or it said why
+    /// not.
+    NotAdmitted,
     /// Events come more often than the channel's [rate](super::EventRate) says. The bus is protected from that.
     TooFast,
 }
@@ -176,7 +180,11 @@ impl Entry {
     /// Why nothing can be published, as far as is known without the channel's rate.
     #[cold]
     const fn why_closed(&self) -> PublishError {
-        if self.announcements == 0 { PublishError::NotAnnounced } else { PublishError::NotBound }
+        match (self.announcements, self.etag, self.gate) {
+            (0, ..) => PublishError::NotAnnounced,
+            (_, Some(_), Gate::Closed) => PublishError::NotAdmitted,
+            _ => PublishError::NotBound,
+        }
     }
 }
 

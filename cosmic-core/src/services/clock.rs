@@ -1,13 +1,14 @@
 //! Clock synchronisation as a service of a node.
 
 use super::{Declaration, NodeView, Request, Services, TooMany};
+use crate::admission::AdmissionPlan;
 use crate::calendar::Calendar;
 use crate::can::{Frame, TxNode, TxNodes};
-use crate::event_layer::ExceptionKind;
+use crate::event_layer::{AnnounceError, ExceptionKind, Gate};
 use crate::seal::{Refusals, Seal, Warden};
 use crate::sync::{ClockEvent, ClockSync, SyncConfig, SyncConfigError, SyncCounters};
 use crate::time::{Duration, GlobalClock, Instant};
-use crate::uid::Subject;
+use crate::uid::{NodeUid, Subject};
 
 /// Clock synchronisation alone: for a cluster whose ids and etags are all fixed.
 #[derive(Clone, Debug)]
@@ -23,6 +24,7 @@ pub struct ClockService {
     /// The next one is told from then on.
     tells_again_at: Instant,
     warden: Option<Warden>,
+    admission: Option<(&'static AdmissionPlan, NodeUid)>,
 }
 
 /// Between two exceptions because of frames that bear this node's own TxNode.
@@ -52,7 +54,16 @@ impl ClockService {
             duplicate: false,
             tells_again_at: Instant::EPOCH,
             warden: None,
+            admission: None,
         })
+    }
+
+    /// The service of this node in a cluster with this plan for soft real-time channels that it does not know. There is no
+    /// broker to ask, so such a channel is refused, or sent as non real-time; `None` lets any be published.
+    #[must_use]
+    pub fn admitting(mut self, plan: Option<&'static AdmissionPlan>, uid: NodeUid) -> Self {
+        self.admission = plan.map(|plan| (plan, uid));
+        self
     }
 
     /// The service of a node of a sealed cluster, which believes only what agrees with this; `None` leaves it open.
@@ -143,8 +154,14 @@ impl Services for ClockService {
         self.sync.on_sent(frame, sent_at);
     }
 
-    fn permits(&self, declaration: &Declaration) -> bool {
-        self.warden.as_ref().is_none_or(|warden| warden.seal().permits(self.tx_node, declaration))
+    fn permits(&self, declaration: &Declaration) -> Result<Gate, AnnounceError> {
+        if self.warden.as_ref().is_some_and(|warden| !warden.seal().permits(self.tx_node, declaration)) {
+            return Err(AnnounceError::OutsidePlan);
+        }
+        match self.admission.map_or(Ok(Gate::Open), |(plan, uid)| plan.permits(uid, declaration)) {
+            Ok(Gate::Closed) | Err(_) => Err(AnnounceError::OutsidePlan),
+            Ok(gate) => Ok(gate),
+        }
     }
 
     fn publishers(&self, subject: Subject) -> Option<&'static TxNodes> {

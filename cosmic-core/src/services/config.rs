@@ -1,9 +1,10 @@
 //! What a node with all services is told at its start, and what it tells.
 
+use crate::admission::{AdmissionPlan, AdmissionTiming};
 use crate::broker::BrokerEvent;
 use crate::calendar::Calendar;
 use crate::can::TxNode;
-use crate::client::{BindingTiming, ConfigurationEvent, ConfigurationTiming, OnDuplicate};
+use crate::client::{AdmissionEvent, BindingTiming, ConfigurationEvent, ConfigurationTiming, OnDuplicate};
 use crate::membership::{InterestEvent, MemberEvent};
 use crate::protocol::Lease;
 use crate::seal::Seal;
@@ -37,6 +38,10 @@ pub struct NodeConfig {
     /// What the node believes of others, in a sealed cluster. Its TxNode is then that of the seal, and it
     /// [stays](OnDuplicate::Stay), whoever else uses it. A node whose UID is not there keeps silent.
     pub seal: Option<&'static Seal>,
+    /// What becomes of soft real-time channels that the plan does not know; `None`: any may be published, unproven.
+    pub admission: Option<&'static AdmissionPlan>,
+    /// Of the admission client.
+    pub admission_timing: AdmissionTiming,
 }
 
 impl NodeConfig {
@@ -53,6 +58,8 @@ impl NodeConfig {
             lease: DEFAULT_LEASE,
             status_period: Duration::from_millis(500),
             seal: None,
+            admission: None,
+            admission_timing: AdmissionTiming::DEFAULT,
         }
     }
 
@@ -78,6 +85,8 @@ pub enum News {
     Clock(ClockEvent),
     /// The broker that this node hosts did something.
     Broker(BrokerEvent),
+    /// A channel that the plan does not know was admitted, or not.
+    Admission(AdmissionEvent),
 }
 
 const DEFAULT_LEASE: Lease = Lease::new(Duration::from_secs(10)).expect("ten seconds are a lease");

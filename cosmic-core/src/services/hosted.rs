@@ -1,5 +1,6 @@
-//! What a node hosts for others: a broker, or nothing.
+//! What a node hosts for others: a broker, one that admits channels, too, or nothing.
 
+use crate::admission::AdmissionControl;
 use crate::broker::{Broker, BrokerEvent};
 use crate::can::{Frame, Id, TxNode};
 use crate::protocol::Output;
@@ -91,5 +92,64 @@ impl<B: Hosted> Hosted for Option<B> {
 
     fn next_wakeup(&self) -> Instant {
         self.as_ref().map_or(Instant::FAR_FUTURE, B::next_wakeup)
+    }
+}
+
+/// A broker for `NODES` nodes and `SUBJECTS` subjects, whose node also [admits](crate::admission) up to `ADMITTED` soft
+/// real-time channels that the plan does not know.
+#[derive(Clone, Debug)]
+pub struct AdmittingBroker<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize> {
+    broker: Broker<NODES, SUBJECTS>,
+    control: AdmissionControl<ADMITTED>,
+}
+
+impl<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize>
+    AdmittingBroker<NODES, SUBJECTS, ADMITTED>
+{
+    /// Both are off until their node has a TxNode.
+    pub const fn new(broker: Broker<NODES, SUBJECTS>, control: AdmissionControl<ADMITTED>) -> Self {
+        Self { broker, control }
+    }
+
+    /// The broker.
+    pub const fn broker(&self) -> &Broker<NODES, SUBJECTS> {
+        &self.broker
+    }
+
+    /// Admission control.
+    pub const fn control(&self) -> &AdmissionControl<ADMITTED> {
+        &self.control
+    }
+}
+
+impl<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize> Hosted
+    for AdmittingBroker<NODES, SUBJECTS, ADMITTED>
+{
+    const WATCHES_EVENTS: bool = true;
+
+    fn on_event(&mut self, now: Instant, id: Id) -> bool {
+        self.broker.on_event(now, id)
+    }
+
+    fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
+        self.broker.set_tx_node(now, tx_node);
+        self.control.set_role(now, self.broker.role());
+    }
+
+    fn on_frame(&mut self, frame: &Frame, now: Instant) {
+        self.broker.on_frame(frame, now);
+        self.control.set_role(now, self.broker.role());
+        self.control.on_frame(frame);
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>> {
+        let output = self.broker.poll(now);
+        self.control.set_role(now, self.broker.role());
+        let subjects = self.broker.subjects();
+        output.or_else(|| self.control.poll(now, |subject| subjects.etag_of(subject)))
+    }
+
+    fn next_wakeup(&self) -> Instant {
+        self.broker.next_wakeup().min(self.control.next_wakeup())
     }
 }

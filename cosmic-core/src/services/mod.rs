@@ -5,6 +5,7 @@
 //! [`EventHalf`](crate::EventHalf) owns it, hands it the control frames, and carries out its
 //! [`Request`]s.
 
+mod admitting;
 mod clock;
 mod config;
 mod hosted;
@@ -12,11 +13,12 @@ mod node;
 
 pub use clock::ClockService;
 pub use config::{News, NodeConfig};
-pub use hosted::Hosted;
+pub use hosted::{AdmittingBroker, Hosted};
 pub use node::NodeServices;
 
+use crate::admission::Offer;
 use crate::can::{ErrorCounters, Etag, Frame, Id, TxNode, TxNodes};
-use crate::event_layer::ExceptionKind;
+use crate::event_layer::{AnnounceError, ExceptionKind, Gate};
 use crate::protocol::{Class, LayoutHash};
 use crate::time::{GlobalClock, Instant};
 use crate::uid::Subject;
@@ -42,6 +44,8 @@ pub enum Request {
     Bound(Subject, Etag),
     /// The subject has no etag any more.
     Unbound(Subject),
+    /// The node may publish on the channel of this subject, or not any more.
+    Gate(Subject, Gate),
     /// Tell the application.
     Exception(Option<Subject>, ExceptionKind),
 }
@@ -58,6 +62,8 @@ pub struct Declaration {
     pub class: Class,
     /// How its content is laid out.
     pub layout: LayoutHash,
+    /// What a soft real-time channel is to be; `None` for the other classes.
+    pub offer: Option<Offer>,
     /// The node has announced it.
     pub publishes: bool,
     /// The node subscribes to it.
@@ -101,15 +107,23 @@ pub trait Services {
     fn on_frame(&mut self, frame: &Frame, received_at: Instant);
     /// A frame of a service has been sent.
     fn on_sent(&mut self, frame: &Frame, sent_at: Instant);
-    /// Returns whether the node may do that. In a sealed cluster only what its plan says.
-    fn permits(&self, declaration: &Declaration) -> bool {
+    /// Whether the node may do that, and whether it may publish at once if it announces the channel. In a sealed cluster it
+    /// may only do what its plan says; soft real-time channels beside the plan may have to be admitted before.
+    ///
+    /// # Errors
+    /// It may not.
+    fn permits(&self, declaration: &Declaration) -> Result<Gate, AnnounceError> {
         let _ = declaration;
-        true
+        Ok(Gate::Open)
     }
     /// Who may publish on a channel, if that is fixed.
     fn publishers(&self, subject: Subject) -> Option<&'static TxNodes> {
         let _ = subject;
         None
+    }
+    /// An event that this node published on a soft or non real-time channel was late, or came to nothing.
+    fn on_late(&mut self, subject: Subject, now: Instant) {
+        let _ = (subject, now);
     }
     /// The node has begun or ended to publish or subscribe.
     ///

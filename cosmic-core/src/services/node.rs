@@ -1,10 +1,11 @@
 //! All services together, as a node of a cluster that configures itself needs them.
 
 use super::{Declaration, Hosted, News, NodeConfig, NodeView, Request, Services, TooMany};
+use crate::admission::AdmissionPlan;
 use crate::calendar::Calendar;
 use crate::can::{Etag, Frame, Id, Priority, TxNode, TxNodes};
-use crate::client::{Binding, BindingEvent, Configuration, ConfigurationEvent, OnDuplicate};
-use crate::event_layer::ExceptionKind;
+use crate::client::{AdmissionClient, Binding, BindingEvent, Configuration, ConfigurationEvent, OnDuplicate};
+use crate::event_layer::{AnnounceError, ExceptionKind, Gate};
 use crate::membership::{Declarations, Health, Interests, MemberEvent, Members, StatusReport};
 use crate::protocol::{Class, LayoutHash, NodeState, Output, Side};
 use crate::ring::Ring;
@@ -12,7 +13,7 @@ use crate::seal::{Contradiction, Refusals, Warden};
 use crate::services::ClockService;
 use crate::sync::SyncConfigError;
 use crate::time::{Duration, Instant};
-use crate::uid::Subject;
+use crate::uid::{NodeUid, Subject};
 
 /// A channel of this node, as far as the services are concerned.
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +52,9 @@ pub struct NodeServices<
     interests: Interests<INTERESTS>,
     members: Members<PEERS>,
     report: StatusReport,
-    broker: B,
+    pub(super) admission: AdmissionClient<CHANNELS>,
+    pub(super) admission_plan: Option<(&'static AdmissionPlan, NodeUid)>,
+    pub(super) broker: B,
     /// The plan does not keep this node from it.
     may_be_broker: bool,
     warden: Option<Warden>,
@@ -95,6 +98,8 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             interests: Interests::new(),
             members: Members::new(silence),
             report: StatusReport::new(now, status_period),
+            admission: AdmissionClient::new(uid.get() ^ noise, config.admission_timing),
+            admission_plan: config.admission.map(|plan| (plan, uid)),
             broker,
             may_be_broker: config.seal.is_none_or(|seal| seal.may_be_broker(uid)),
             warden,
@@ -156,14 +161,14 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         self.configuration.release();
     }
 
-    fn tell(&mut self, news: News) {
+    pub(super) fn tell(&mut self, news: News) {
         if !self.news.push(news) {
             self.news_dropped = self.news_dropped.saturating_add(1);
         }
     }
 
     /// What is wanted of the node besides, in the order of the calls; there are never more than four.
-    fn ask(&mut self, request: Request) {
+    pub(super) fn ask(&mut self, request: Request) {
         let _ = self.requests.push(request);
     }
 
@@ -171,6 +176,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         self.clock.set_tx_node(tx_node);
         self.binding.set_tx_node(tx_node);
         self.declarations.set_tx_node(now, tx_node);
+        self.admission.set_tx_node(now, tx_node);
         self.broker.set_tx_node(now, tx_node.filter(|_| self.may_be_broker));
         self.ask(Request::TxNode(tx_node));
     }
@@ -222,6 +228,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     }
 
     fn on_bound(&mut self, subject: Subject, old: Option<Etag>, etag: Etag, now: Instant) -> Request {
+        self.admission.bind(now, subject, Some(etag));
         if let Some(old) = old {
             self.withdraw_both_sides(now, old);
             // Another subject may have been given the old etag just before.
@@ -243,6 +250,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     /// The subject has no etag; if it had one, that is another's now.
     fn on_unbound(&mut self, subject: Subject, now: Instant) -> Request {
+        self.admission.bind(now, subject, None);
         let of_subject = |wanted: &&mut KnownChannel| wanted.subject == subject;
         let wanted = self.wanted.iter_mut().flatten().find(of_subject);
         if let Some(old) = wanted.and_then(|wanted| wanted.etag.take()) {
@@ -256,6 +264,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             match self.broker.poll(now)? {
                 Output::Send(frame) => {
                     self.binding.on_frame(&frame, now);
+                    self.admission.on_frame(&frame, now);
                     return Some(Request::Send(frame));
                 }
                 Output::Withdraw(frame) => return Some(Request::Withdraw(frame)),
@@ -327,6 +336,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         let wakeups = [
             self.configuration.next_wakeup(),
             self.binding.next_wakeup(),
+            self.admission.next_wakeup(),
             self.broker.next_wakeup(),
             self.declarations.next_wakeup(),
             self.interests.next_wakeup(),
@@ -378,6 +388,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             _ => {}
         }
         self.binding.on_frame(frame, received_at);
+        self.admission.on_frame(frame, received_at);
         self.broker.on_frame(frame, received_at);
         if let Some(mismatch) = self.declarations.on_frame(frame, received_at) {
             let of_etag = |wanted: &&KnownChannel| wanted.etag == Some(mismatch.etag);
@@ -391,10 +402,18 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         self.clock.on_sent(frame, sent_at);
     }
 
-    fn permits(&self, declaration: &Declaration) -> bool {
-        self.warden
-            .as_ref()
-            .is_none_or(|warden| warden.seal().permits(self.configuration.claimed(), declaration))
+    fn on_late(&mut self, subject: Subject, now: Instant) {
+        if self.admission.on_late(now, subject) {
+            self.idle_until = Instant::EPOCH;
+        }
+    }
+
+    fn permits(&self, declaration: &Declaration) -> Result<Gate, AnnounceError> {
+        let own = self.configuration.claimed();
+        if self.warden.as_ref().is_some_and(|warden| !warden.seal().permits(own, declaration)) {
+            return Err(AnnounceError::OutsidePlan);
+        }
+        self.gate_now(declaration)
     }
 
     fn publishers(&self, subject: Subject) -> Option<&'static TxNodes> {
@@ -404,7 +423,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     #[allow(clippy::indexing_slicing, reason = "the place was found by its number")]
     fn declare(&mut self, declaration: &Declaration) -> Result<(), TooMany> {
         self.idle_until = Instant::EPOCH;
-        let &Declaration { subject, etag, class, layout, publishes, subscribes } = declaration;
+        let &Declaration { subject, etag, class, layout, publishes, subscribes, .. } = declaration;
         let known = |place: &Option<KnownChannel>| place.is_some_and(|wanted| wanted.subject == subject);
         let at = (self.wanted.iter().position(known))
             .or_else(|| self.wanted.iter().position(Option::is_none))
@@ -422,10 +441,12 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             // It was never bound, so nobody was told of it.
             None => {
                 self.binding.forget(subject);
+                self.admission.forget(subject);
                 self.wanted[at] = None;
                 return Ok(());
             }
         }
+        self.ask_for(declaration, etag)?;
         self.wanted[at] =
             Some(KnownChannel { subject, etag, class, layout, publishes, subscribes, changed: true });
         Ok(())
@@ -446,7 +467,9 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             .or_else(|| self.clock.poll_sync(now))
             .or_else(|| self.poll_binding(now))
             .or_else(|| self.poll_broker(now))
-            .or_else(|| self.poll_membership(now, view));
+            .or_else(|| self.poll_membership(now, view))
+            // Behind the membership, so that a withdrawal goes before.
+            .or_else(|| self.poll_admission(now));
         if let Some(event) = self.clock.take_event() {
             self.tell(News::Clock(event));
         }

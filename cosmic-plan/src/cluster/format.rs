@@ -6,7 +6,7 @@
 
 use super::contents::{self, ContentTable};
 use super::values::{
-    BindingName, ChannelSubject, ClassName, Name, PositiveSpan, Rate, Span, Succession, Uid,
+    BindingName, ChannelSubject, ClassName, Name, PositiveSpan, Rate, Span, Succession, Uid, UnplannedName,
 };
 use crate::document::{At, Log, Node, Place, Source, Table};
 #[cfg(feature = "cli")]
@@ -62,6 +62,10 @@ pub struct SegmentTable {
     pub brokers: Vec<At<String>>,
     /// How etags of soft and non real-time channels are found; "static" if not given.
     pub binding: Option<At<BindingName>>,
+    /// What becomes of a soft real-time channel that a node announces and that is not in this file: "ask" the broker's node,
+    /// "refuse" it, send it as "non-real-time", or "allow" it unproven. "ask" if not given and binding is "broker", else
+    /// "allow". A node that has no broker to ask refuses. Has no effect in a sealed cluster, which refuses all.
+    pub unplanned: Option<At<UnplannedName>>,
     /// How often the clock master sends sync and follow-up; "100 ms" if not given, "0 s" for never.
     pub sync_period: Option<At<Span>>,
     /// How late a node takes the time-stamp of a frame at worst: latency of the interrupt and resolution of the
@@ -290,6 +294,7 @@ fn read_segment(table: &Table<'_>) -> SegmentTable {
         sealed: table.optional("sealed"),
         brokers: table.list("brokers"),
         binding: table.optional("binding"),
+        unplanned: table.optional("unplanned"),
         sync_period: table.optional("sync_period"),
         stamp_latency: table.optional("stamp_latency"),
         slow_refill: table.optional("slow_refill"),

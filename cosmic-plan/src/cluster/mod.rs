@@ -13,6 +13,7 @@ pub mod values;
 use crate::analysis::errors::ErrorModel;
 use crate::contents::Layout;
 use crate::document::{Problems, Source};
+use cosmic_core::admission::Unplanned;
 use cosmic_core::calendar::Segment;
 use cosmic_core::can::{Etag, Priority, TxNode};
 use cosmic_core::protocol::Rank;
@@ -34,6 +35,9 @@ pub struct Cluster {
     pub sealed: Option<Vec<usize>>,
     /// How etags of soft and non real-time channels are found.
     pub binding: Binding,
+    /// What becomes of a soft real-time channel that is not here; `None`: it is published, unproven, or the cluster is
+    /// sealed.
+    pub unplanned: Option<Unplanned>,
     /// Δt_p: the span of deadlines that one priority stands for.
     pub priority_step: Duration,
     /// A node may not manage to load its next frame within the inter-frame space.

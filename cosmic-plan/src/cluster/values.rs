@@ -308,6 +308,20 @@ choice! {
 }
 
 choice! {
+    /// What becomes of a soft real-time channel that a node announces and that is not in the file.
+    UnplannedName {
+        /// It is published, unproven.
+        Allow = "allow",
+        /// The node asks the broker's node, and publishes when that has admitted it.
+        Ask = "ask",
+        /// It cannot be announced.
+        Refuse = "refuse",
+        /// It is sent as a non real-time channel of the least importance.
+        NonRealTime = "non-real-time",
+    }
+}
+
+choice! {
     /// How etags of soft and non real-time channels are found.
     BindingName {
         /// Fixed in the plan.

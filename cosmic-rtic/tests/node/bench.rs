@@ -188,6 +188,7 @@ pub(crate) const PLAN: NodePlan = NodePlan {
     filters: &[],
     calendar: &CALENDAR,
     seal: None,
+    admission: None,
     publishes: &[],
     subscribes: &[],
 };

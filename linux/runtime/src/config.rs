@@ -46,7 +46,8 @@ impl Config {
     pub fn of_plan(plan: &NodePlan) -> Self {
         let clock = plan.sync.unwrap_or(SyncConfig::DEFAULT);
         let new = Self::new(plan.uid);
-        let node = NodeConfig { tx_node: Some(plan.tx_node), clock, seal: plan.seal, ..new.node };
+        let (tx_node, admission) = (Some(plan.tx_node), plan.admission);
+        let node = NodeConfig { tx_node, clock, seal: plan.seal, admission, ..new.node };
         Self { node, calendar: plan.calendar, ..new }
     }
 

@@ -87,6 +87,7 @@ mod app {
         filters: &[],
         calendar: &CALENDAR,
         seal: None,
+        admission: None,
         publishes: &[],
         subscribes: &[],
     };

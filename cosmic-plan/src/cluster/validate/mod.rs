@@ -88,6 +88,7 @@ impl Checker<'_> {
             segment,
             sealed: self.sealing(&file.segment, &file.node),
             binding,
+            unplanned: self.unplanned(&file.segment, binding),
             priority_step,
             slow_refill: file.segment.slow_refill.as_ref().is_some_and(|at| at.value),
             sync_period: Some(sync_period).filter(|span| !span.is_zero()),

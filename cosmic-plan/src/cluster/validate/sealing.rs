@@ -1,10 +1,12 @@
-//! Whether the cluster is sealed, and what no cluster may use.
+//! Whether the cluster is sealed, what becomes of what is not in its file, and what no cluster may use.
 
 use super::{Checker, name_of};
+use crate::cluster::Binding;
 use crate::cluster::format::{ChannelTable, NodeTable, SegmentTable};
-use crate::cluster::values::BindingName;
+use crate::cluster::values::{BindingName, UnplannedName};
 use crate::document::nearest;
 use cosmic_core::Subject;
+use cosmic_core::admission::Unplanned;
 
 impl Checker<'_> {
     /// The nodes that may host a broker, if the cluster is sealed.
@@ -34,6 +36,30 @@ impl Checker<'_> {
             found
         };
         Some(table.brokers.iter().filter_map(position).collect())
+    }
+
+    /// What becomes of soft real-time channels that are not in the file.
+    pub(super) fn unplanned(&self, table: &SegmentTable, binding: Binding) -> Option<Unplanned> {
+        let sealed = table.sealed.as_ref().is_some_and(|at| at.value);
+        match &table.unplanned {
+            Some(at) if sealed => {
+                let help = "leave it out: a sealed cluster refuses whatever is not in its file";
+                self.problem(
+                    &at.place,
+                    "segment.unplanned".to_owned(),
+                    "has no effect in a sealed cluster",
+                    help,
+                );
+                None
+            }
+            Some(at) => match at.value {
+                UnplannedName::Allow => None,
+                UnplannedName::Ask => Some(Unplanned::Ask),
+                UnplannedName::Refuse => Some(Unplanned::Refuse),
+                UnplannedName::NonRealTime => Some(Unplanned::NonRealTime),
+            },
+            None => (binding == Binding::Broker && !sealed).then_some(Unplanned::Ask),
+        }
     }
 
     /// Brokers find each other by a subject that no channel has.

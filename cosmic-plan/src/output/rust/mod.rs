@@ -6,6 +6,7 @@
 //!
 //! [`Calendar::checked`]: cosmic_core::calendar::Calendar::checked
 
+mod admission;
 mod channels;
 mod contents;
 mod nodes;
@@ -61,6 +62,7 @@ pub fn render(
     let _ = write_needs(&mut out, Needs::of(cluster, plan));
     let _ = contents::write(&mut out, cluster, derives);
     let _ = channels::write(&mut out, cluster, plan);
+    let _ = admission::write(&mut out, cluster, plan);
     let _ = seal::write(&mut out, cluster);
     let _ = nodes::write(&mut out, cluster, &filters);
     Ok(out)

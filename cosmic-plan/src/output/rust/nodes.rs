@@ -48,9 +48,10 @@ fn write_node(out: &mut String, cluster: &Cluster, node: &Node, filters: &[Filte
         None => "None".to_owned(),
     };
     let seal = if cluster.sealed.is_some() { "Some(&super::super::SEAL)" } else { "None" };
+    let admission = if cluster.unplanned.is_some() { "Some(&super::super::ADMISSION)" } else { "None" };
     let fields = format!(
         "name: NAME, uid: UID, tx_node: TX_NODE, sync: {sync}, filters: &FILTERS, \
-         calendar: &super::super::CALENDAR, seal: {seal}, publishes: PUBLISHES, subscribes: SUBSCRIBES"
+         calendar: &super::super::CALENDAR, seal: {seal}, admission: {admission}, publishes: PUBLISHES, subscribes: SUBSCRIBES"
     );
     let of = "::cosmic_core::plan::NodePlan";
     constant("All of it that a runtime wants to know.", "NODE", of, &format!("{of} {{ {fields} }}"))?;
