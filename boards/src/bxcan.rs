@@ -14,9 +14,14 @@ use crate::registers::Registers;
 /// Filter banks: of the 28 that both controllers share, those before the reset value of `CAN2SB`.
 pub const BANKS: usize = 14;
 
-/// More filters than the peripheral has banks.
+/// Why a controller cannot be set up.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct TooManyFilters;
+pub enum SetUpError {
+    /// More filters than the peripheral has banks.
+    TooManyFilters,
+    /// It does not enter initialisation mode: it is not clocked, or a frame is under way that does not end.
+    NoAnswer,
+}
 
 /// A controller as it comes out of reset: [`set_up`](Self::set_up), [`join`](Self::join), then
 /// [`split`](Self::split).
@@ -58,26 +63,34 @@ impl Controller {
     /// Puts the controller into initialisation mode, and sets it up. It takes no part in the traffic yet.
     ///
     /// # Errors
-    /// If there are more than [`BANKS`] filters; those that have a bank are written then.
+    /// If it does not answer, or there are more than [`BANKS`] filters; those that have a bank are written then.
     pub fn set_up<'a>(
         &mut self,
         timing: BitTiming,
         filters: impl Iterator<Item = &'a FilterBank>,
-    ) -> Result<(), TooManyFilters> {
+    ) -> Result<(), SetUpError> {
         let registers = self.registers;
         registers.write(MCR, registers.read(MCR) & MCR_DBF | MCR_INRQ);
-        // Ends: the controller is clocked, and after reset no frame is under way.
-        while registers.read(MSR) & MSR_INAK == 0 {}
+        if !self.waits_until(|status| status & MSR_INAK != 0) {
+            return Err(SetUpError::NoAnswer);
+        }
         configure(registers, timing);
         apply_filters(registers, filters)
     }
 
-    /// Takes part in the traffic, once the bus has been recessive for 11 bits; waits for that.
-    pub fn join(&mut self) {
+    /// Takes part in the traffic, once the bus has been recessive for 11 bits; waits for that, but not for ever.
+    ///
+    /// Returns whether it does. If not, the bus is held dominant (a short, a transceiver without supply): the
+    /// controller joins by itself when that ends, and what is loaded until then waits in its mailbox.
+    pub fn join(&mut self) -> bool {
         let registers = self.registers;
         registers.write(MCR, registers.read(MCR) & !(MCR_INRQ | MCR_SLEEP));
-        // Ends: the bus is recessive after every frame.
-        while registers.read(MSR) & (MSR_INAK | MSR_SLAK) != 0 {}
+        self.waits_until(|status| status & (MSR_INAK | MSR_SLAK) == 0)
+    }
+
+    /// Returns whether the status became so within [`PATIENCE`] readings.
+    fn waits_until(&self, is_so: impl Fn(u32) -> bool) -> bool {
+        (0..PATIENCE).any(|_| is_so(self.registers.read(MSR)))
     }
 
     /// Takes the controller apart.
@@ -111,13 +124,13 @@ fn configure(registers: Registers, timing: BitTiming) {
 fn apply_filters<'a>(
     registers: Registers,
     filters: impl Iterator<Item = &'a FilterBank>,
-) -> Result<(), TooManyFilters> {
+) -> Result<(), SetUpError> {
     registers.write(FMR, registers.read(FMR) | FMR_FINIT);
     let (mut used, mut lists, mut to_other) = (0, 0, 0);
     let mut result = Ok(());
     for (bank, filter) in filters.enumerate() {
         if bank >= BANKS {
-            result = Err(TooManyFilters);
+            result = Err(SetUpError::TooManyFilters);
             break;
         }
         let bit = 1 << bank;
@@ -141,6 +154,10 @@ fn apply_filters<'a>(
     registers.write(FMR, registers.read(FMR) & !FMR_FINIT);
     result
 }
+
+/// So often the status is read until a mode has changed: each takes 5 cycles at least, 30 ms at 168 MHz in all. A frame
+/// takes 3 ms at 50 kbit/s.
+const PATIENCE: u32 = 1_000_000;
 
 const OWN_BANKS: u32 = (1 << BANKS) - 1;
 
@@ -187,8 +204,21 @@ mod tests {
         assert_eq!(memory.at(BTR), timing.register());
         assert_eq!(memory.at(IER), 0x8713);
         memory.set(MSR, 0xC00);
-        controller.join();
+        assert!(controller.join());
         assert_eq!(memory.at(MCR), 0x0001_0040);
+    }
+
+    #[test]
+    fn a_controller_that_does_not_answer_and_a_bus_that_is_stuck_stop_nobody() {
+        let mut memory = Memory::new();
+        let timing = BitTiming::new(42_000_000, BitRate::MAX).unwrap();
+        let mut controller = Controller { registers: memory.registers() };
+        assert_eq!(controller.set_up(timing, [].iter()), Err(SetUpError::NoAnswer));
+        // Held dominant: the controller stays in initialisation mode, and is asked to leave it.
+        memory.set(MSR, MSR_INAK);
+        assert_eq!(controller.set_up(timing, [].iter()), Ok(()));
+        assert!(!controller.join());
+        assert_eq!(memory.at(MCR), 0x40);
     }
 
     fn mask(fifo: Fifo) -> FilterBank {
@@ -218,7 +248,7 @@ mod tests {
         let mut memory = Memory::new();
         let filters = [const { FilterBank::Mask { id: 0, mask: 0, fifo: Fifo::Urgent } }; BANKS + 1];
         assert_eq!(apply_filters(memory.registers(), filters[..BANKS].iter()), Ok(()));
-        assert_eq!(apply_filters(memory.registers(), filters.iter()), Err(TooManyFilters));
+        assert_eq!(apply_filters(memory.registers(), filters.iter()), Err(SetUpError::TooManyFilters));
         assert_eq!((memory.at(FA1R), memory.at(0x240 + 8 * BANKS)), (0x3FFF, 0));
     }
 }

@@ -21,7 +21,7 @@ use stm32f4xx_hal::rcc::{Config, Enable as _, Rcc, RccExt as _, Reset as _};
 use stm32f4xx_hal::time::Hertz;
 
 use crate::bit_timing::BitTiming;
-use crate::bxcan::{Controller, Parts};
+use crate::bxcan::{Controller, Parts, SetUpError};
 use crate::bxcan_rx::{OtherFrames, UrgentFrames};
 use crate::bxcan_status::{BusStatus, StatusChanges};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
@@ -101,6 +101,10 @@ pub enum BoardError {
     BitRate,
     /// More filters than banks.
     Filters,
+    /// The CAN controller does not enter its initialisation mode.
+    Controller,
+    /// The crystal does not oscillate.
+    Crystal,
 }
 
 impl Stm32F405 {
@@ -118,13 +122,14 @@ impl Stm32F405 {
     /// Sets the clocks, starts the timer, and joins the bus.
     ///
     /// Waits until the crystal runs and the bus has been recessive for 11 bits; call it before interrupts
-    /// are enabled, as RTIC's `init` does.
+    /// are enabled, as RTIC's `init` does. It waits for neither for longer than a tenth of a second: without a crystal
+    /// it returns an error, and on a bus that is held dominant the node starts, and joins when the bus is free.
     ///
     /// `timer` is the priority of the timer's interrupt, as RTIC counts. A task of a higher one must not wait for
     /// the clock: it would be woken by a lower one.
     ///
     /// # Errors
-    /// If the settings ask for what the controller cannot do.
+    /// If the settings ask for what the controller cannot do, or crystal or controller do not run.
     pub fn new<'a>(
         resources: Resources,
         settings: Settings<impl Iterator<Item = &'a FilterBank>>,
@@ -136,6 +141,7 @@ impl Stm32F405 {
             .pclk1(Hertz::from_raw(APB1))
             .pclk2(Hertz::from_raw(APB2));
         let Resources { rcc, port, can: _, timer: tim2 } = resources;
+        start_crystal(&rcc)?;
         let mut rcc = rcc.freeze(clocks);
         pac::TIM2::enable(&mut rcc);
         pac::TIM2::reset(&mut rcc);
@@ -165,12 +171,23 @@ impl Stm32F405 {
         pac::CAN1::reset(&mut rcc);
         // SAFETY: the registers of CAN1 are there for good, and `Resources::can` was given up for them.
         let mut can = unsafe { Controller::new(pac::CAN1::ptr().cast_mut().cast()) };
-        can.set_up(timing, settings.filters).map_err(|_| BoardError::Filters)?;
-        can.join();
+        can.set_up(timing, settings.filters).map_err(|error| match error {
+            SetUpError::TooManyFilters => BoardError::Filters,
+            SetUpError::NoAnswer => BoardError::Controller,
+        })?;
+        // A bus that is stuck now may be free later: the node says in its status what it counts of errors.
+        let _ = can.join();
         let Parts { hard, soft, non_real_time, outcomes, urgent, other, changes, bus } = can.split();
         let points = Some(points);
         Ok(Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, points, pins, rcc })
     }
+}
+
+/// Starts the crystal (RM0090, 7.2.1). Who sets the clocks waits for it without end, so it runs before.
+fn start_crystal(rcc: &pac::RCC) -> Result<(), BoardError> {
+    rcc.cr().modify(|_, w| w.hseon().on());
+    let runs = (0..CRYSTAL_PATIENCE).any(|_| rcc.cr().read().hserdy().is_ready());
+    if runs { Ok(()) } else { Err(BoardError::Crystal) }
 }
 
 impl Board for Stm32F405 {
@@ -255,6 +272,9 @@ impl<const N: u8> MeasuringPoint<N> {
 }
 
 const CRYSTAL: u32 = 8_000_000;
+/// So often it is asked whether the crystal runs: each takes 8 cycles at most, 100 ms at the 16 MHz after a reset. It
+/// takes 2 ms (STM32F405 datasheet, 5.3.8).
+const CRYSTAL_PATIENCE: u32 = 200_000;
 const CORE: u32 = 168_000_000;
 const APB1: u32 = 42_000_000;
 /// The timers behind APB1 run at twice its frequency (RM0090, 7.2).

@@ -1,6 +1,8 @@
 //! Whether a node had reason to lose the time of the cluster: sync frames that were destroyed or not sent, or its
 //! own absence from the bus.
 
+use std::collections::BTreeSet;
+
 use cosmic_bus::VirtualInstant;
 use cosmic_core::can::TxNode;
 use cosmic_core::protocol::{FollowUp, SyncMessage};
@@ -18,6 +20,8 @@ pub struct Syncs {
     sent: Vec<VirtualInstant>,
     /// Ends of the sync and follow-up frames that were destroyed.
     destroyed: Vec<VirtualInstant>,
+    /// Who tried to send a sync frame, whatever became of it, and when the attempt ended.
+    tried: Vec<(VirtualInstant, TxNode)>,
 }
 
 impl Syncs {
@@ -27,11 +31,13 @@ impl Syncs {
         for attempt in journal.bus.attempts() {
             let Some(frame) = attempt.frame() else { continue };
             let is_follow_up = FollowUp::decode(&frame).is_some();
+            let is_sync = SyncMessage::decode(&frame).is_some();
+            if is_sync {
+                syncs.tried.push((attempt.end, frame.id.tx_node()));
+            }
             match attempt.ending {
                 Ending::Sent if is_follow_up => syncs.sent.push(attempt.end),
-                Ending::Failed(_) if is_follow_up || SyncMessage::decode(&frame).is_some() => {
-                    syncs.destroyed.push(attempt.end);
-                }
+                Ending::Failed(_) if is_follow_up || is_sync => syncs.destroyed.push(attempt.end),
                 Ending::Sent | Ending::Failed(_) | Ending::Open => {}
             }
         }
@@ -39,12 +45,20 @@ impl Syncs {
     }
 
     /// Returns whether the nodes can agree on the time at `at`: in the [`MEMORY`] before, the time master was heard,
-    /// and did not follow another one. Several nodes take themselves for the master when none hears the others.
+    /// did not follow another one, and no other node took itself for the master. Several do when none hears the
+    /// others: each goes by its own time then, and what it tries to send tells of it even where all is destroyed.
     pub fn give_common_time(&self, timeline: &GlobalTimeline, at: VirtualInstant) -> bool {
         let from = (-Span::from(MEMORY)).after(at);
         let mut before = timeline.terms().iter().rev().skip_while(|term| term.from > at);
         let has_changed = before.next().is_some_and(|term| term.from > from) && before.next().is_some();
-        !has_changed && count(&self.sent, from, at) > 0
+        !has_changed && count(&self.sent, from, at) > 0 && self.masters(from, at) <= 1
+    }
+
+    /// How many nodes took themselves for the time master in a span.
+    fn masters(&self, from: VirtualInstant, until: VirtualInstant) -> usize {
+        let first = self.tried.partition_point(|(at, _)| *at < from);
+        let within = self.tried[first..].iter().take_while(|(at, _)| *at <= until);
+        within.map(|(_, node)| *node).collect::<BTreeSet<_>>().len()
     }
 
     /// Returns whether a node may have lost the time of the cluster by `at`: in the [`MEMORY`] before, a frame was
