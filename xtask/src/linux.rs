@@ -14,12 +14,14 @@ use crate::workspace::Workspace;
 
 const PACKAGES: &[&str] = &[
     "--package=cosmic-cli",
+    "--package=cosmic-gateway",
     "--package=cosmic-linux",
     "--package=cosmic-log",
     "--package=cosmic-monitor",
     "--package=cosmic-page",
     "--package=cosmic-session",
     "--package=cosmic-ups",
+    "--package=cosmic-wan",
 ];
 
 /// Runs their tests, those with python-can and a C compiler included, and those in a browser if there is

@@ -150,6 +150,16 @@ impl<C: Content> Channel<C> {
     pub const fn attributes(&self) -> Attributes {
         self.declared.attributes
     }
+
+    /// How its events are laid out.
+    pub const fn layout(&self) -> LayoutHash {
+        self.declared.layout
+    }
+
+    /// Returns whether its events carry [attributes of context](super::Context).
+    pub const fn has_context(&self) -> bool {
+        self.declared.context
+    }
 }
 
 impl Declared {

@@ -118,6 +118,11 @@ impl<C: Content> Publisher<C> {
         self.node.until(bound).await;
     }
 
+    /// The channel's subject.
+    pub const fn subject(&self) -> Subject {
+        self.subject
+    }
+
     /// The node.
     pub const fn node(&self) -> &Node {
         &self.node

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::event_layer::{ChannelCounters, Exception, ExceptionKind};
-use cosmic_core::protocol::Side;
+use cosmic_core::protocol::{LayoutHash, Side};
 use cosmic_core::services::News;
 use cosmic_core::time::Instant;
 use cosmic_core::{Subject, broker};
@@ -124,6 +124,11 @@ impl Node {
     /// The other nodes on a side of a channel, as far as they have told.
     pub fn interested(&self, etag: Etag, side: Side) -> Vec<TxNode> {
         self.shared().look(|core| core.half.services().interests().nodes(etag, side).map(|it| it.0).collect())
+    }
+
+    /// How the other nodes on a side of a channel lay out its content.
+    pub fn layouts(&self, etag: Etag, side: Side) -> Vec<LayoutHash> {
+        self.shared().look(|core| core.half.services().interests().nodes(etag, side).map(|it| it.2).collect())
     }
 
     /// What the broker that this node hosts does; `None` if it hosts none.

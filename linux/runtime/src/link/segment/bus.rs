@@ -19,7 +19,7 @@ pub struct MemberEvent {
 }
 
 /// A bus in virtual time. Each call states the present; time does not go back.
-pub trait Segment: Send + 'static {
+pub trait Segment: 'static {
     /// Its bit rate.
     fn bit_rate(&self) -> BitRate;
 

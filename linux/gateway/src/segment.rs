@@ -1,0 +1,254 @@
+//! The gateway's node on a segment, and its channels there.
+
+mod beacons;
+mod origin;
+mod passed_over;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use cosmic_core::can::{Payload, TxNode};
+use cosmic_core::event_layer::{
+    Channel, Delivered, Depth, Event, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
+};
+use cosmic_core::protocol::{Class, LayoutHash, Side};
+use cosmic_core::time::Duration;
+use cosmic_linux::{Config, Node, Publisher, Subscriber, calendar_without_slots};
+use tokio::sync::Notify;
+
+pub(crate) use beacons::keep_leader;
+pub(crate) use origin::Left;
+
+use crate::config::{ChannelConfig, SegmentConfig};
+use crate::counters::{Counters, Direction, Metrics, Outcome};
+use crate::gateway::StartError;
+use crate::keys::Name;
+use crate::leader::Leadership;
+use crate::rules::Ceiling;
+use crate::table::Table;
+use passed_over::PassedOver;
+
+/// The gateway's node on a segment.
+pub(crate) struct Segment {
+    pub(crate) name: Name,
+    pub(crate) node: Node,
+    /// By the place of the channel in the configuration.
+    pub(crate) channels: Vec<Port>,
+    leadership: Mutex<Leadership>,
+    ceiling: Mutex<Ceiling>,
+    /// Δt_p of its calendar.
+    step: Duration,
+    etag_of_gateways: Option<cosmic_core::can::Etag>,
+    /// Events that were left to the gateway that leads, since its last beacon.
+    passed_over: Mutex<PassedOver>,
+    pub(crate) incoming: Counters,
+    pub(crate) outgoing: Counters,
+    /// Something has changed that decides what is forwarded.
+    pub(crate) changed: Notify,
+}
+
+/// A channel at a segment.
+pub(crate) struct Port {
+    /// As the gateway's node has it there.
+    channel: Channel<Payload>,
+    /// The right to publish on it, if it may enter.
+    publisher: Option<Publisher<Payload>>,
+    /// Somebody on the segment subscribes to it, who is no gateway.
+    wanted: AtomicBool,
+}
+
+/// An event for a segment.
+#[derive(Clone, Debug)]
+pub(crate) struct Incoming<'a> {
+    pub(crate) content: &'a [u8],
+    pub(crate) layout: LayoutHash,
+    /// What is left to its deadline and expiry, now.
+    pub(crate) left: Left,
+}
+
+impl Segment {
+    /// Starts the node, and announces what may enter.
+    pub(crate) fn start(
+        config: &SegmentConfig,
+        channels: &[ChannelConfig],
+        group: u16,
+        table: Option<&Table>,
+        metrics: &Metrics,
+    ) -> Result<Self, StartError> {
+        let refused = |what: String| StartError::segment(&config.name, what);
+        let calendar = match &config.plan {
+            // Once for each segment, for as long as the program runs.
+            Some(plan) => &*Box::leak(Box::new(plan.calendar())),
+            None => calendar_without_slots(config.bit_rate),
+        };
+        let mut of_node = Config::new(config.uid).calendar(calendar);
+        of_node.node.tx_node = config.tx_node;
+        if let Some(table) = table {
+            of_node = of_node.broker(table.contents().clone());
+        }
+        let link = config.link.link(config.bit_rate).map_err(refused)?;
+        let node = Node::start(of_node, link).map_err(|error| refused(error.to_string()))?;
+        let ports = channels.iter().map(|channel| {
+            let refused =
+                |what: String| refused(format!("the channel {:?} is refused: {what}", channel.name));
+            let declared = declare(channel, config).map_err(refused)?;
+            let enters = channel.to.has(&config.name);
+            let announced = enters.then(|| node.announce(&declared)).transpose();
+            let publisher = announced.map_err(|error| refused(error.to_string()))?;
+            Ok(Port { channel: declared, publisher, wanted: AtomicBool::new(false) })
+        });
+        Ok(Self {
+            name: config.name.clone(),
+            channels: ports.collect::<Result<_, _>>()?,
+            node,
+            leadership: Mutex::new(Leadership::new(group)),
+            ceiling: Mutex::new(Ceiling::new(config.bit_rate, config.ceiling)),
+            step: calendar.priority_step(),
+            etag_of_gateways: config.etags.get(&crate::config::GATEWAYS).copied(),
+            passed_over: Mutex::new(PassedOver::default()),
+            incoming: metrics.of(&config.name, Direction::In),
+            outgoing: metrics.of(&config.name, Direction::Out),
+            changed: Notify::new(),
+        })
+    }
+
+    fn leadership(&self) -> MutexGuard<'_, Leadership> {
+        self.leadership.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn passed_over(&self) -> MutexGuard<'_, PassedOver> {
+        self.passed_over.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// We speak for the segment.
+    pub(crate) fn leads(&self) -> bool {
+        self.leadership().leads()
+    }
+
+    /// Somebody here wants events of the channel, they may enter, and it is we who forward them.
+    pub(crate) fn wants(&self, channel: usize) -> bool {
+        let port = &self.channels[channel];
+        port.publisher.is_some() && port.wanted.load(Ordering::Relaxed) && self.leads()
+    }
+
+    /// Subscribes to a channel.
+    pub(crate) fn listen(&self, channel: usize) -> Result<Subscriber<Payload>, String> {
+        let subscriber = self.node.subscribe(&self.channels[channel].channel, Policy::Fifo(WAITING));
+        subscriber.map_err(|error| error.to_string())
+    }
+
+    /// Looks at who subscribes here, and returns whether that has changed anything.
+    fn look_for_interest(&self) -> bool {
+        let mut changed = false;
+        for port in &self.channels {
+            let etag = port.publisher.as_ref().and_then(|_| self.node.etag_of(port.channel.subject()));
+            let wanted = etag.is_some_and(|etag| {
+                let nodes = self.node.interested(etag, Side::Subscriber);
+                let leadership = self.leadership();
+                nodes.iter().any(|node| !leadership.is_gateway(*node))
+            });
+            changed |= port.wanted.swap(wanted, Ordering::Relaxed) != wanted;
+        }
+        changed
+    }
+
+    /// An event of the segment that is to leave it: what is left of its time, or why it does not leave.
+    pub(crate) fn take(
+        &self,
+        channel: &ChannelConfig,
+        event: &Delivered<Payload>,
+    ) -> Result<(TxNode, Left), Outcome> {
+        let now = self.node.now();
+        let leadership = self.leadership();
+        if Some(event.publisher) == self.node.tx_node() || leadership.is_gateway(event.publisher) {
+            return Err(Outcome::OfGateway);
+        }
+        if !leadership.may_forward(now) {
+            self.passed_over().note(event.received_at);
+            return Err(Outcome::StandingBy);
+        }
+        let waited = now.saturating_since(event.received_at);
+        let left = Left::of_frame(channel, event.priority, self.step);
+        let left = left.after(waited).ok_or(Outcome::Expired)?;
+        Ok((event.publisher, left))
+    }
+
+    /// An event for the segment. Never waits. Counts what becomes of it.
+    pub(crate) fn give(&self, at: usize, channel: &ChannelConfig, event: &Incoming<'_>) -> Outcome {
+        let outcome = self.publish(at, channel, event);
+        self.incoming.count(outcome);
+        outcome
+    }
+
+    fn publish(&self, at: usize, channel: &ChannelConfig, event: &Incoming<'_>) -> Outcome {
+        let Some(publisher) = &self.channels[at].publisher else { return Outcome::Denied };
+        let Some(content) = Payload::new(event.content) else { return Outcome::TooLong };
+        if self.conflicts(at, event.layout) {
+            return Outcome::LayoutMismatch;
+        }
+        let now = self.node.now();
+        if !self.leadership().may_forward(now) {
+            return Outcome::StandingBy;
+        }
+        let left = event.left.at_most(channel);
+        let mut published = Event::new(content);
+        let is_late = left.to_deadline.is_some_and(|left| left.is_zero());
+        if let Some(left) = left.to_deadline.filter(|_| channel.class != Class::NonRealTime) {
+            published = published.deadline(now + left.max(Duration::from_ticks(1)));
+        }
+        if let Some(left) = left.to_expiry {
+            published = published.expires_at(now + left.max(Duration::from_ticks(1)));
+        }
+        if !self.ceiling.lock().unwrap_or_else(PoisonError::into_inner).charge(content.len(), now) {
+            return Outcome::CeilingExceeded;
+        }
+        match publisher.publish_event(&published) {
+            Ok(()) if is_late => Outcome::ForwardedLate,
+            Ok(()) => Outcome::Forwarded,
+            Err(PublishError::TooFast) => Outcome::RateExceeded,
+            Err(PublishError::QueueFull) => Outcome::QueueFull,
+            Err(PublishError::Deadline) => Outcome::Expired,
+            Err(PublishError::TooLong) => Outcome::TooLong,
+            Err(_) => Outcome::NotBound,
+        }
+    }
+
+    /// Somebody here lays the content out otherwise than the publisher says.
+    fn conflicts(&self, at: usize, layout: LayoutHash) -> bool {
+        if layout == LayoutHash::UNSTATED {
+            return false;
+        }
+        let etag = self.node.etag_of(self.channels[at].channel.subject());
+        let layouts = etag.map(|etag| self.node.layouts(etag, Side::Subscriber)).unwrap_or_default();
+        layouts.iter().any(|other| other.conflicts_with(layout))
+    }
+}
+
+/// The channel as the gateway's node has it on a segment: plain bytes, so that it fits any layout.
+fn declare(channel: &ChannelConfig, segment: &SegmentConfig) -> Result<Channel<Payload>, String> {
+    if channel.class == Class::Hard && channel.from.has(&segment.name) {
+        let planned =
+            segment.plan.as_ref().and_then(|plan| plan.declare(plan.channel_of_subject(channel.subject)?));
+        return planned.ok_or_else(|| "it does not stand in the plan of the segment".to_owned());
+    }
+    let declared = match channel.class {
+        Class::NonRealTime => {
+            let quality =
+                NonRealTimeAttributes { importance: channel.importance, validity: channel.validity };
+            Channel::non_real_time(channel.subject, quality)
+        }
+        Class::Soft | Class::Hard => {
+            let deadline = channel.deadline.ok_or("it has no deadline")?;
+            let validity = channel.validity.unwrap_or(deadline);
+            Channel::soft(channel.subject, SoftAttributes { deadline, validity })
+        }
+    };
+    let declared = declared.with_rate(channel.rate);
+    Ok(match segment.etags.get(&channel.subject) {
+        Some(etag) => declared.with_etag(*etag),
+        None => declared,
+    })
+}
+
+/// Events that wait to leave, of each channel.
+const WAITING: Depth = Depth::new(128).unwrap();

@@ -1,0 +1,142 @@
+//! The configuration: the example of the documentation, and mistakes.
+
+use std::path::Path;
+
+use cosmic_core::can::TxNode;
+use cosmic_core::protocol::Class;
+use cosmic_gateway::config::Config;
+use cosmic_gateway::keys::Name;
+use cosmic_gateway::rules::Reach;
+
+const DOCUMENTATION: &str = include_str!("../../../../docs/gateway.md");
+
+fn example() -> String {
+    let (_, behind) = DOCUMENTATION.split_once("```toml\n").unwrap();
+    behind.split_once("```").unwrap().0.to_owned()
+}
+
+fn read(text: &str) -> Result<Config, String> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../cosmic-plan/examples");
+    Config::parse("gateway.toml", text, &folder).map_err(|problems| problems.to_string())
+}
+
+#[test]
+fn the_example_of_the_documentation_is_right() {
+    let config = read(&example()).unwrap();
+    assert_eq!(config.network, Name::new("plant").unwrap());
+    let [line, office] = &config.segments[..] else { panic!("two segments") };
+    assert_eq!(line.tx_node, TxNode::new(90));
+    assert!(line.broker.is_some() && office.plan.is_none());
+    let [heat, alarm, ..] = &config.channels[..] else { panic!("channels") };
+    assert_eq!((heat.class, &heat.from), (Class::Soft, &Reach::Only(vec![Name::new("line-1").unwrap()])));
+    assert_eq!(alarm.to, Reach::All);
+}
+
+/// Replaces a line of a small configuration that is right.
+fn with(line: &str, by: &str) -> String {
+    let right = r#"network = "plant"
+[ip]
+listen = ["tcp/0.0.0.0:7447"]
+[[segment]]
+name = "line"
+link = "can:can0"
+uid = "0x6A7E0001"
+tx-node = 90
+[[channel]]
+name = "heat"
+subject = "0xC05A"
+class = "soft"
+deadline = "10 ms"
+interval = "10 ms"
+"#;
+    assert!(read(right).is_ok());
+    assert!(right.contains(line), "{line}");
+    right.replace(line, by)
+}
+
+#[test]
+fn each_mistake_is_told_with_its_line_and_a_remedy() {
+    for (line, by, expected) in [
+        (
+            "network = \"plant\"",
+            "network = \"The Plant\"",
+            "gateway.toml:1: network: \"The Plant\" is none: write 1 to 32 of a-z",
+        ),
+        (
+            "tx-node = 90",
+            "tx-node = 127",
+            "gateway.toml:8: tx-node: 127 is none: write a number from 0 to 126",
+        ),
+        ("uid = \"0x6A7E0001\"", "", "uid: it is missing: write the 64-bit name"),
+        ("can:can0", "log:a.log", "gateway.toml:6: link: \"log:a.log\" is none: write sim:PATH"),
+        ("can:can0", "usb", "gateway.toml:6: link: \"usb\" is none: write sim:PATH"),
+        ("class = \"soft\"", "class = \"firm\"", "write \"soft\", \"non-real-time\" or \"hard\""),
+        ("deadline = \"10 ms\"", "", "deadline: it is missing: write how long"),
+        (
+            "deadline = \"10 ms\"",
+            "deadline = \"10\"",
+            "gateway.toml:13: deadline: \"10\" is none: write a number with its unit",
+        ),
+        (
+            "deadline = \"10 ms\"",
+            "deadline = \"10 ms\"\nvalidity = \"1 ms\"",
+            "gateway.toml:14: validity: an event must not expire before its deadline",
+        ),
+        ("interval = \"10 ms\"", "", "interval"),
+        ("interval = \"10 ms\"", "interval = \"0 ms\"", "gateway.toml:14: interval: \"0 ms\" is none"),
+        ("interval = \"10 ms\"", "interval = \"10 ms\"\nburst = 0", "burst: 0 is none: write 1 to 255"),
+        ("subject = \"0xC05A\"", "subject = \"0\"", "gateway.toml:11: subject: \"0\" is none"),
+        ("subject = \"0xC05A\"", "subject = \"C05A6A7E00000001\"", "none of the middleware's own"),
+        (
+            "tcp/0.0.0.0:7447",
+            "udp/0.0.0.0:7447",
+            "gateway.toml:3: listen: \"udp/0.0.0.0:7447\" is none: write \"tcp/HOST:PORT\"",
+        ),
+        ("tcp/0.0.0.0:7447", "tls/0.0.0.0:7447", "needs certificates: add [ip.tls]"),
+        ("tx-node = 90", "tx-nodes = 90", "gateway.toml:8: unknown field `tx-nodes`"),
+        ("tx-node = 90", "broker = \"table\"", "broker: who hosts the broker needs a fixed id: add tx-node"),
+        ("tx-node = 90", "etags = { cold = 5000 }", "etags: there is no channel \"cold\""),
+        ("tx-node = 90", "etags = { heat = 100 }", "etags: 100 is none: write an etag from 1024 to 16383"),
+        (
+            "tx-node = 90",
+            "ceiling = 0",
+            "gateway.toml:8: ceiling: 0 is none: write a share of the bus in percent",
+        ),
+        ("tx-node = 90", "plan = \"nowhere.toml\"", "gateway.toml:8: plan: "),
+        ("class = \"soft\"", "class = \"hard\"", "from: it is missing: name the segments in whose calendars"),
+        (
+            "class = \"soft\"",
+            "class = \"hard\"\nfrom = [\"line\"]",
+            "the plan of this segment has no such hard real-time channel",
+        ),
+        ("[ip]", "[ip]\nmode = \"star\"", "write \"router\", \"peer\" or \"client\""),
+        ("[ip]", "metrics = \"9464\"\n[ip]", "metrics: \"9464\" is none: write an address"),
+        (
+            "[[segment]]",
+            "[[ip.peer]]\ncertificate = \"a\"\nsegments = []\n[[segment]]",
+            "peers are told apart by certificates",
+        ),
+    ] {
+        let why = read(&with(line, by)).unwrap_err();
+        assert!(why.contains(expected), "{line} -> {by}:\n{why}");
+        assert!(why.starts_with("gateway.toml:"), "{why}");
+    }
+}
+
+#[test]
+fn all_mistakes_are_told_at_once() {
+    let text = with("tx-node = 90", "tx-node = 127").replace("\"soft\"", "\"firm\"");
+    let why = read(&text).unwrap_err();
+    assert_eq!(why.lines().count(), 2, "{why}");
+}
+
+#[test]
+fn names_and_subjects_stand_once() {
+    let channel =
+        "[[channel]]\nname = \"heat\"\nsubject = \"0xC05A\"\nclass = \"non-real-time\"\ninterval = \"1 s\"\n";
+    let why = read(&(with("tx-node = 90", "") + channel)).unwrap_err();
+    assert!(
+        why.contains("another channel has this name") && why.contains("another channel has this subject"),
+        "{why}"
+    );
+}

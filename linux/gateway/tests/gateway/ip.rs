@@ -1,0 +1,99 @@
+//! Nodes on IP alone.
+
+use std::time::Duration as Span;
+
+use crate::bed::{HEAT, HEAT_TABLE, Segment, Setup, fifo, name, port, until};
+use cosmic_core::Subject;
+use cosmic_core::can::{Etag, TxNode};
+use cosmic_core::event_layer::{Channel, Event, HardAttributes, Policy, PublishError};
+use cosmic_core::protocol::Class;
+use cosmic_core::time::Duration;
+use cosmic_gateway::config::{Ip, Mode};
+use cosmic_gateway::counters::{Direction, Outcome};
+use cosmic_gateway::ip::{IpError, Node};
+use cosmic_linux::AnnounceError;
+
+fn at(port: u16) -> Ip {
+    Ip { mode: Mode::Peer, connect: vec![format!("tcp/127.0.0.1:{port}")], ..Ip::default() }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_on_ip_publishes_and_subscribes_as_one_on_a_segment() {
+    let bus = Segment::start().await;
+    let listen = port();
+    let more = "etags = { heat = 5000, gateways = 5001 }";
+    let gateway = Setup {
+        segment: "plant",
+        bus: &bus,
+        tx_node: 100,
+        listen,
+        connect: None,
+        more,
+        channels: HEAT_TABLE,
+    };
+    let gateway = gateway.start().await;
+    let node = Node::start(&at(listen), &name("test"), &name("desk")).await.unwrap();
+    let heat = HEAT.with_etag(Etag::new(5000).unwrap());
+    let on_bus = bus.node(7);
+    let on_ip = node.subscribe(&HEAT, fifo(100)).await.unwrap();
+    let second = node.subscribe(&HEAT, Policy::Latest).await.unwrap();
+    let from_bus = on_bus.announce(&heat).unwrap();
+    from_bus.bound().await;
+    until("the clocks are known", || node.others().1 == 1 && gateway.others().1 == 1).await;
+    let mut number = 0;
+    until("an event reaches IP", || {
+        number += 1;
+        let _ = from_bus.publish(number);
+        on_ip.try_next().is_some()
+    })
+    .await;
+    // Both subscribers of the node have it.
+    until("the second subscriber has it", || second.try_next().is_some()).await;
+    tokio::time::sleep(Span::from_millis(100)).await;
+    while on_ip.try_next().is_some() {}
+    from_bus.publish(-40).unwrap();
+    let event = tokio::time::timeout(crate::bed::PATIENCE, on_ip.next()).await.unwrap();
+    assert_eq!((event.content, event.class), (-40, Class::Soft));
+    assert_eq!((event.origin.segment, event.origin.node), (name("plant"), TxNode::new(7)));
+    let (deadline, expires_at) = (event.deadline.unwrap(), event.expires_at.unwrap());
+    assert_eq!(expires_at.saturating_since(deadline), Duration::from_millis(500));
+    drop((on_ip, second));
+    // The other way.
+    let on_bus = on_bus.subscribe(&heat, fifo(100)).unwrap();
+    let from_ip = node.announce(&HEAT).await.unwrap();
+    tokio::time::timeout(crate::bed::PATIENCE, from_ip.wanted()).await.unwrap();
+    from_ip.publish(77).unwrap();
+    let event = tokio::time::timeout(crate::bed::PATIENCE, on_bus.next()).await.unwrap();
+    assert_eq!((event.content, event.publisher), (77, TxNode::new(100).unwrap()));
+    let past = node.now().saturating_sub(Duration::from_millis(1));
+    assert_eq!(from_ip.publish_event(&Event::new(1).deadline(past)), Err(PublishError::Deadline));
+    drop(on_bus);
+    until("nobody wants it any more", || !from_ip.is_wanted()).await;
+    assert_eq!(node.count(Direction::Out, Outcome::Forwarded), 1);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_nodes_on_ip_need_no_gateway_and_hard_real_time_is_refused() {
+    let listen = port();
+    let server = Ip { mode: Mode::Router, listen: vec![format!("tcp/127.0.0.1:{listen}")], ..Ip::default() };
+    let one = Node::start(&server, &name("test"), &name("one")).await.unwrap();
+    let other = Node::start(&at(listen), &name("test"), &name("other")).await.unwrap();
+    let subscriber = other.subscribe(&HEAT, fifo(10)).await.unwrap();
+    let publisher = one.announce(&HEAT).await.unwrap();
+    tokio::time::timeout(crate::bed::PATIENCE, publisher.wanted()).await.unwrap();
+    until("the clock is known", || other.others().1 == 1).await;
+    publisher.publish(5).unwrap();
+    let event = tokio::time::timeout(crate::bed::PATIENCE, subscriber.next()).await.unwrap();
+    assert_eq!((event.content, event.origin.segment, event.origin.node), (5, name("one"), None));
+    let hard: Channel<u8> = Channel::hard(
+        Subject::new(0x99).unwrap(),
+        Etag::HARD_FIRST,
+        HardAttributes { period: Duration::from_millis(10), periodic: true, omission_degree: 1 },
+    );
+    let refused = one.announce(&hard).await.err().unwrap();
+    assert_eq!(refused, IpError::Announce(AnnounceError::HardRealTime));
+    // The port is taken.
+    let why = Node::start(&server, &name("test"), &name("third")).await.err().unwrap().to_string();
+    assert!(why.contains("another program listens at tcp/127.0.0.1"), "{why}");
+    one.stop().await;
+}

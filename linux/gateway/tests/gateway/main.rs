@@ -1,0 +1,10 @@
+//! The gateway, from outside: in one program, for each that links zenoh takes its time.
+
+mod bed;
+mod config;
+mod crossing;
+mod cuts;
+mod hostile;
+mod ip;
+mod program;
+mod redundant;
