@@ -299,9 +299,9 @@ impl Hub {
         let mut from_ip = HashMap::new();
         let mut voices: Vec<Option<Voice>> = self.segments.iter().map(|_| None).collect();
         loop {
-            for at in 0..self.segments.len() {
+            for (at, voice) in voices.iter_mut().enumerate() {
                 self.keep_readers(at);
-                self.keep_voice(at, &mut voices[at]).await.map_err(StartError::Network)?;
+                self.keep_voice(at, voice).await.map_err(StartError::Network)?;
             }
             for at in 0..self.channels.len() {
                 self.keep_subscriber(at, &mut from_ip).await?;
@@ -365,7 +365,7 @@ impl Hub {
             let hub = Arc::downgrade(self);
             let on_sample = move |sample: Sample| {
                 if let Some(hub) = hub.upgrade() {
-                    hub.from_ip(channel, &sample);
+                    hub.on_sample(channel, &sample);
                 }
             };
             let key = self.network.keys.events(self.channels[channel].subject);
@@ -381,7 +381,7 @@ impl Hub {
     }
 
     /// An event of a segment. Never waits.
-    fn from_segment(&self, segment: usize, channel: usize, event: &Delivered<Payload>) {
+    fn on_event(&self, segment: usize, channel: usize, event: &Delivered<Payload>) {
         let (of, config) = (&self.segments[segment], &self.channels[channel]);
         let (node, left) = match of.take(config, event) {
             Ok(taken) => taken,
@@ -416,7 +416,7 @@ impl Hub {
     }
 
     /// An event from IP. Never waits.
-    fn from_ip(&self, channel: usize, sample: &Sample) {
+    fn on_sample(&self, channel: usize, sample: &Sample) {
         if let Err(outcome) = self.pass(channel, sample) {
             self.unassigned.count(outcome);
         }
@@ -451,6 +451,6 @@ impl Hub {
 async fn read(hub: Arc<Hub>, segment: usize, channel: usize, subscriber: Subscriber<Payload>) {
     loop {
         let event = subscriber.next().await;
-        hub.from_segment(segment, channel, &event);
+        hub.on_event(segment, channel, &event);
     }
 }
