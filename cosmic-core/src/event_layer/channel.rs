@@ -3,8 +3,8 @@
 use super::attributes::{Attributes, HardAttributes, NonRealTimeAttributes, SoftAttributes};
 use super::content::Content;
 use super::filter::Filter;
+use super::gate::Gate;
 use super::pool::List;
-use super::protection::Gate;
 use super::rate::{EventRate, Guard};
 use crate::admission::Offer;
 use crate::can::{Etag, Id, Priority, TxNode, TxNodes};

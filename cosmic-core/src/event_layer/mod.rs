@@ -8,6 +8,7 @@ mod delivery;
 mod error;
 mod exception;
 mod filter;
+mod gate;
 mod layer;
 mod messages;
 mod pool;
@@ -25,8 +26,8 @@ pub use delivery::Delivered;
 pub use error::{AnnounceError, SubscribeError};
 pub use exception::{Exception, ExceptionKind};
 pub use filter::{Attribute, Context, Filter, NoRoom};
+pub use gate::Gate;
 pub use layer::EventLayer;
-pub use protection::Gate;
 pub use publish::{Event, PublishError, Published};
 pub use rate::EventRate;
 

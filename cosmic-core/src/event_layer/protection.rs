@@ -3,23 +3,12 @@
 
 use super::attributes::Attributes;
 use super::channel::{Declared, Entry, Outlet};
+use super::gate::Gate;
 use super::layer::EventLayer;
 use super::publish::PublishError;
 use crate::network::soft::Tag;
 use crate::time::{Duration, Instant};
 use crate::uid::Subject;
-
-/// Whether this node may publish on a channel that it has announced.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Gate {
-    /// It may.
-    Open,
-    /// It may not, because the channel is not [admitted](crate::admission).
-    Closed,
-    /// It may, but its events are sent as non real-time ones of the least importance.
-    NonRealTime,
-}
 
 impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>

@@ -28,7 +28,11 @@ impl Arguments {
     /// What clap says, or the help that was asked for.
     pub fn read(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
         // A number below zero is no option, so that its bounds are named.
-        let numbers = |it: clap::Command| it.mut_args(|argument| argument.allow_negative_numbers(true));
+        let number = |argument: clap::Arg| {
+            let takes_values = argument.get_action().takes_values();
+            argument.allow_negative_numbers(takes_values)
+        };
+        let numbers = |it: clap::Command| it.mut_args(number);
         let words = [OsString::from("experiment")].into_iter().chain(arguments);
         let mut command = Self::command().mut_subcommands(numbers);
         let read = Self::from_arg_matches(&command.try_get_matches_from_mut(words)?)?;
@@ -51,6 +55,8 @@ pub enum Experiment {
     Clock(Clock),
     /// How fast a large cluster on a saturated bus is simulated.
     Scale(Scale),
+    /// How long admission at run time takes, whether what is admitted is ever late, and what is refused needlessly.
+    Admission(Admission),
 }
 
 /// What `experiment edf` is told.
@@ -170,6 +176,24 @@ pub struct Scale {
     pub json: Option<PathBuf>,
 }
 
+/// What `experiment admission` is told.
+#[derive(Args, Serialize)]
+pub struct Admission {
+    /// How many random sequences of announcements and withdrawals, each on a segment of its own.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = within(1..=1_000_000_u64))]
+    pub sequences: u64,
+    /// The seed of the first sequence; each further one has the next.
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    pub seed: u64,
+    /// Let nodes publish without asking, to see what admission is for. The experiment fails then.
+    #[arg(long)]
+    pub unasked: bool,
+    /// Write the results to a file, or to standard output if it is `-`.
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip)]
+    pub json: Option<PathBuf>,
+}
+
 /// Which services run.
 #[derive(ValueEnum, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -208,5 +232,6 @@ mod tests {
             assert!(message.contains(bounds), "{line}: {message}");
         }
         assert!(read("edf --sets 3 --json -").is_ok() && read("scale").is_ok());
+        assert!(read("admission --unasked").is_ok());
     }
 }

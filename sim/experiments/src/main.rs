@@ -3,6 +3,7 @@
 //! An experiment prints a figure and the conditions under which it was measured. Everything follows from
 //! the seed, but for the speed of the host. `docs/experiments.md` explains them and shows the results.
 
+mod admission;
 mod clock;
 mod edf;
 mod nodes;
@@ -20,6 +21,7 @@ fn main() -> ExitCode {
         Experiment::Edf(options) => edf::run(options),
         Experiment::Clock(options) => clock::run(options),
         Experiment::Scale(options) => scale::run(options),
+        Experiment::Admission(options) => admission::run(options),
     };
     match result {
         Ok(output::Conclusion::Holds) => ExitCode::SUCCESS,
