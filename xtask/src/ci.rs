@@ -15,6 +15,7 @@ use crate::images;
 use crate::linux;
 use crate::panics;
 use crate::plan;
+use crate::python;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup;
@@ -37,6 +38,8 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
     tally.add(linux::check(workspace));
     tally.add(linux::test(workspace));
     tally.add(tools::test(workspace));
+    tally.add(python::check(workspace));
+    tally.add(python::test(workspace));
     tally.add(fuzz::smoke(workspace));
     tally.add(no_warnings(workspace, &way));
     tally.add(sizes(workspace, &way));

@@ -20,6 +20,7 @@ mod new;
 mod panics;
 mod plan;
 mod program;
+mod python;
 mod qemu;
 mod run;
 mod setup;

@@ -17,6 +17,7 @@ use crate::images::{self, PROFILE};
 use crate::linux;
 use crate::new::{self, Example};
 use crate::plan;
+use crate::python;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
@@ -42,6 +43,8 @@ enum Part {
     Linux,
     /// What the planner exports, with a C compiler, Python, cantools and Wireshark.
     Tools,
+    /// The Python package: built, installed, tested.
+    Python,
     /// The fuzz targets of the core, for a moment each.
     Fuzz,
     /// The firmware in the emulated cluster.
@@ -64,6 +67,9 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
     }
     if parts.contains(&Part::Tools) {
         tally.add(tools::test(workspace));
+    }
+    if parts.contains(&Part::Python) {
+        tally.add(python::test(workspace));
     }
     if parts.contains(&Part::Fuzz) {
         tally.add(fuzz::smoke(workspace));

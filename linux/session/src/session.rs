@@ -132,8 +132,8 @@ impl Session {
         Ok(publisher.publish_event(&event)?)
     }
 
-    /// Subscribes to a channel, and waits until the node has its TxNode; without one it hears nothing that a broker
-    /// binds.
+    /// Subscribes to a channel. If its etag is not fixed, waits until the node has a TxNode, under which it asks for it;
+    /// to listen takes none.
     ///
     /// # Errors
     /// As [`announce`](Self::announce).
@@ -149,7 +149,9 @@ impl Session {
         let subscriber = subscriber.map_err(|why| refused(why.to_string()))?;
         let subscription = Subscription::new(subscriber, queue)
             .map_err(|why| refused(format!("no descriptor can be had: {why}; close some")))?;
-        self.within_patience(self.node.configured())?;
+        if self.node.etag_of(subject).is_none() {
+            self.within_patience(self.node.configured())?;
+        }
         Ok(subscription)
     }
 
