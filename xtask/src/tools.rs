@@ -16,7 +16,22 @@ pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
     prepare(workspace)?;
     let mut command = workspace.cargo();
     command.args(["test", "--package", "cosmic-plan", "--test", "contents"]).env(INSIST, "1");
-    step("trying what is exported with the programs of others", || cargo_test(&mut command))
+    let mut tally = step("trying what is exported with the programs of others", || cargo_test(&mut command))?;
+    tally.add(records(workspace));
+    Ok(tally)
+}
+
+/// What `cosmic record` writes, in Wireshark, with the dissector of the cluster.
+fn records(workspace: &Workspace) -> Result<Tally> {
+    let dissector = workspace.target_dir().join("tools/rover.lua");
+    let mut export = workspace.cargo();
+    export.args(["run", "--package", "cosmic-plan", "--", "export", "cosmic-plan/examples/rover.toml"]);
+    export.args(["--format", "lua", "--out"]).arg(&dissector);
+    step("making the dissector of the rover", || run::run(&mut export))?;
+    let mut command = workspace.cargo();
+    command.args(["test", "--package", "cosmic-cli", "--test", "wireshark"]);
+    command.env("COSMIC_DISSECTOR", &dissector);
+    step("trying records with Wireshark", || cargo_test(&mut command))
 }
 
 /// Finds or installs the programs.

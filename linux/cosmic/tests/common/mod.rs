@@ -3,6 +3,7 @@
 
 #[path = "../../../monitor/tests/bed/mod.rs"]
 pub(crate) mod bed;
+pub(crate) mod terminal;
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
