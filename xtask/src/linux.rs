@@ -46,6 +46,11 @@ pub(crate) fn check(workspace: &Workspace) -> Result<Tally> {
     let mut clippy = workspace.cargo();
     clippy.args(["clippy", "--all-targets"]).args(PACKAGES).args(["--", "--deny", "warnings"]);
     step("clippy on what runs on Linux", || run::run(&mut clippy))?;
+    // It is no default target.
+    let mut of_machine = workspace.cargo();
+    of_machine.args(["clippy", "--package", "cosmic-linux", "--test", "socketcan_vm"]);
+    of_machine.args(["--", "--deny", "warnings"]);
+    step("clippy on the tests of SocketCAN", || run::run(&mut of_machine))?;
     let mut documentation = workspace.cargo();
     documentation.args(["doc", "--no-deps"]).args(PACKAGES).env("RUSTDOCFLAGS", "--deny warnings");
     step("documentation of what runs on Linux", || run::run(&mut documentation))?;

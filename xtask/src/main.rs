@@ -25,6 +25,7 @@ mod qemu;
 mod run;
 mod setup;
 mod size;
+mod socketcan;
 mod suite;
 mod tally;
 mod target;

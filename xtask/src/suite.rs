@@ -21,6 +21,7 @@ use crate::python;
 use crate::qemu;
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
+use crate::socketcan;
 use crate::tally::Tally;
 use crate::target::{TRIPLE, TargetWay};
 use crate::tools;
@@ -29,7 +30,7 @@ use crate::workspace::Workspace;
 /// Which tests to run.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Only these; all if none is named.
+    /// Only these; all but `socketcan` if none is named.
     #[arg(value_enum)]
     parts: Vec<Part>,
 }
@@ -53,11 +54,15 @@ enum Part {
     Qemu,
     /// The firmware in the emulated cluster at 50, 125, 250 and 500 kbit/s.
     BitRates,
+    /// The link over SocketCAN, in a virtual machine with Debian's kernel. Not among all.
+    Socketcan,
 }
 
 /// Runs the tests that are asked for.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode> {
-    let parts = if options.parts.is_empty() { Part::value_variants() } else { &options.parts };
+    let all: Vec<Part> =
+        Part::value_variants().iter().copied().filter(|part| *part != Part::Socketcan).collect();
+    let parts = if options.parts.is_empty() { &all } else { &options.parts };
     let mut tally = Tally::default();
     if parts.contains(&Part::Host) {
         tally.add(host(workspace));
@@ -84,6 +89,9 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
     }
     if parts.contains(&Part::BitRates) {
         tally.add(bit_rates::test(workspace));
+    }
+    if parts.contains(&Part::Socketcan) {
+        tally.add(socketcan::test(workspace));
     }
     Ok(tally.conclude())
 }
