@@ -50,8 +50,10 @@ impl Needs {
             subscriptions: most(&|node| 2 * nodes[node].subscribes.len()),
             events: most(&|node| EVENTS_OF_A_SUBSCRIPTION * nodes[node].subscribes.len().max(1))
                 .min(MOST_PLACES),
-            soft: most(&|node| published(node, &waiting_soft) + RESERVED).min(MOST_PLACES),
-            non_real_time: most(&|node| published(node, &waiting_non_real_time) + RESERVED).min(MOST_PLACES),
+            // The core keeps places for the services, beside at least one for events, whether there are any or not.
+            soft: most(&|node| published(node, &waiting_soft).max(1) + RESERVED).min(MOST_PLACES),
+            non_real_time: most(&|node| published(node, &waiting_non_real_time).max(1) + RESERVED)
+                .min(MOST_PLACES),
         }
     }
 }
@@ -86,3 +88,25 @@ const EVENTS_OF_A_SUBSCRIPTION: usize = 16;
 
 /// Non real-time events may wait for any time, so this is a choice.
 const EVENTS_OF_A_NON_REAL_TIME_CHANNEL: usize = 8;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::document::Source;
+    use crate::plan::{Effort, plan};
+
+    /// The core refuses smaller queues when it is compiled.
+    #[test]
+    fn a_cluster_without_channels_of_a_class_has_a_queue_for_it_all_the_same() {
+        let text = "[segment]\nname = \"s\"\nbit_rate = \"1 Mbit/s\"\nclock_accuracy = \"50 us\"\n\
+            release_jitter = \"20 us\"\nsync_period = \"25 ms\"\n\
+            [[node]]\nname = \"a\"\nuid = 1\npublishes = [\"c\"]\n\
+            [[node]]\nname = \"b\"\nuid = 2\nsubscribes = [\"c\"]\n\
+            [[channel]]\nname = \"c\"\nsubject = 3\nclass = \"HRT\"\nlength = 2\nperiod = \"10 ms\"\n\
+            omission_degree = 1\n";
+        let cluster = Cluster::read(&Source::new("hard.toml", text)).unwrap();
+        let plan = plan(&cluster, &Effort::default()).unwrap();
+        let needs = Needs::of(&cluster, &plan);
+        assert!(needs.soft > RESERVED && needs.non_real_time > RESERVED, "{needs:?}");
+    }
+}
