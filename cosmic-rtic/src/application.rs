@@ -10,6 +10,7 @@ use cosmic_core::event_layer::{
     AnnounceError, Channel, Content, Delivered, Event, Exception, Filter, Policy, Publication, PublishError,
     SubscribeError, Subscription,
 };
+use cosmic_core::services::News;
 use cosmic_core::time::{Duration, Instant};
 use rtic_core::Mutex;
 
@@ -74,6 +75,14 @@ impl<C: Content> Publisher<C> {
         node.lock(|node| node.publish(&self.channel, &self.publication, event))
     }
 
+    /// Waits until the node has its TxNode and the channel its etag, where a broker gives them. Before that, publishing
+    /// is refused.
+    pub async fn bound<T: System>(&self, node: &mut impl Mutex<T = Node<T>>) {
+        while !node.lock(|node| node.is_bound(self.channel.subject())) {
+            T::Board::delay_until(T::Board::now() + BETWEEN_LOOKS).await;
+        }
+    }
+
     /// Gives up the announcement. Events that wait to be sent are discarded if it was the last one of the channel.
     pub fn cancel<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
         node.lock(|node| node.cancel_publication(self.publication));
@@ -135,6 +144,12 @@ impl<C: Content> Subscriber<C> {
 /// Waits for the next exception.
 pub async fn next_exception<T: System>(node: &mut impl Mutex<T = Node<T>>) -> Exception {
     poll_fn(|context| node.lock(|node| node.poll_exception(context.waker()))).await
+}
+
+/// Waits for the next piece of news of the cluster: this node has its TxNode, others have come or gone, somebody wants a
+/// channel. For one task of the node, whose services tell news: [`NodeServices`](cosmic_core::services::NodeServices).
+pub async fn next_news<T: System>(node: &mut impl Mutex<T = Node<T>>) -> News {
+    poll_fn(|context| node.lock(|node| node.poll_news(context.waker()))).await
 }
 
 /// Takes one exception after the other, so that the observer hears of each.
@@ -248,5 +263,7 @@ impl<B: Board> Ticker<B> {
     }
 }
 
+/// Between two looks whether something has happened that nobody tells.
+const BETWEEN_LOOKS: Duration = Duration::from_millis(10);
 /// Sync frames, and the node that missed the first has taken the second and third.
 const FRAMES_TO_SETTLE: u32 = 3;

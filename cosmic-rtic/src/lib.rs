@@ -48,7 +48,7 @@ mod system;
 mod tasks;
 
 pub use application::{
-    Publisher, Subscriber, Ticker, before_slot, next_exception, publish_every, publish_in_slots,
+    Publisher, Subscriber, Ticker, before_slot, next_exception, next_news, publish_every, publish_in_slots,
     report_exceptions, settled, synchronised,
 };
 pub use board::Board;
@@ -59,7 +59,7 @@ pub use messages::{Message, MessageError, MessagePublisher, MessageSubscriber, p
 pub use node::Node;
 pub use observer::{CalendarObserver, Observer, Observes};
 pub use start::{Parts, Storage, start, start_observed, start_with};
-pub use system::{StartError, System, Timed};
+pub use system::{PlannedHost, StartError, System, Timed};
 pub use tasks::{Calendar, Events, Other, Outcomes, Status, Urgent};
 
 /// The priority of the calendar task, which is the highest, and of the board's timer interrupt: a timer must not
@@ -83,7 +83,7 @@ pub mod prelude {
     pub use crate::{
         Board, Calendar, Events, MessagePublisher, MessageSubscriber, Node, Other, Outcomes, Parts,
         Publisher, Status, Storage, Subscriber, System, Ticker, Urgent, before_slot, next_exception,
-        publish_every, publish_in_slots, publish_message_every, report_exceptions, settled, spawn,
+        next_news, publish_every, publish_in_slots, publish_message_every, report_exceptions, settled, spawn,
         synchronised,
     };
     pub use cosmic_core::event_layer::{Depth, Policy};

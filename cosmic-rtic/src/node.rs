@@ -11,6 +11,7 @@ use cosmic_core::event_layer::{
     AnnounceError, Channel, ChannelCounters, Content, Delivered, Event, Exception, ExceptionKind, Filter,
     Policy, Publication, PublishError, SubscribeError, Subscription,
 };
+use cosmic_core::services::News;
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
 
 use crate::board::{Board, BusStatus as _, TxMailbox as _};
@@ -18,7 +19,7 @@ use crate::departures::Departures;
 use crate::inbox::Item;
 use crate::observer::{Observer as _, Observes};
 use crate::signal::Signal;
-use crate::system::{self, Half, System};
+use crate::system::{self, Half, System, Timed as _};
 
 /// The event-triggered half of a node and what it drives: a shared resource of the event task and the
 /// application. An application rather uses [`Publisher`](crate::Publisher) and [`Subscriber`](crate::Subscriber),
@@ -38,6 +39,7 @@ pub struct Node<T: System> {
     /// Who sends messages, and what had been discarded when they were woken last.
     pub(crate) departures: Departures,
     pub(crate) discarded: u32,
+    pub(crate) news_waker: Option<Waker>,
     pub(crate) observer: T::Observer,
 }
 
@@ -181,6 +183,20 @@ impl<T: System> Node<T> {
         exception
     }
 
+    pub(crate) fn is_bound(&self, subject: Subject) -> bool {
+        self.half.services().is_bound(subject)
+    }
+
+    pub(crate) fn poll_news(&mut self, waker: &Waker) -> Poll<News> {
+        match self.half.services_mut().take_news() {
+            Some(news) => Poll::Ready(news),
+            None => {
+                self.news_waker = Some(waker.clone());
+                Poll::Pending
+            }
+        }
+    }
+
     /// Takes in what an interrupt or the calendar task has handed over.
     #[inline]
     pub(crate) fn take_in(&mut self, item: &Item) {
@@ -210,6 +226,11 @@ impl<T: System> Node<T> {
             .fold(0, |sum: u32, kind| sum.wrapping_add(self.half.exceptions(kind)));
         if core::mem::replace(&mut self.discarded, discarded) != discarded {
             self.departures.wake();
+        }
+        if self.half.services().has_news()
+            && let Some(waker) = self.news_waker.take()
+        {
+            waker.wake();
         }
         next
     }

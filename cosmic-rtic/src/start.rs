@@ -93,6 +93,7 @@ pub fn start_with<T: System>(
     let hard: &'static HardCell<Buffers<T>> = hard;
     // Services whose time never changes do not tell it later.
     Hard::new(hard).with(|buffers| T::Capacity::set_clock(buffers, services.clock()));
+    let tx_node = services.tx_node(plan);
     let ends = queues.split();
     let BoardParts { hard: mailbox, soft, non_real_time, outcomes, urgent, other, status, changes } =
         board.split();
@@ -111,7 +112,7 @@ pub fn start_with<T: System>(
         other: Other { receiver: Receiver { fifo: other, hard: Hard::new(hard), frames: ends.frames } },
         events: Events { inbox: ends.inbox },
         node: Node {
-            half: T::Capacity::half(Some(plan.tx_node), plan.calendar, services, Hard::new(hard)),
+            half: T::Capacity::half(tx_node, plan.calendar, services, Hard::new(hard)),
             soft,
             non_real_time,
             status,
@@ -122,6 +123,7 @@ pub fn start_with<T: System>(
             synchronised_since: None,
             departures: Departures::NOBODY,
             discarded: 0,
+            news_waker: None,
             observer,
         },
     }

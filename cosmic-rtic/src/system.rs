@@ -1,10 +1,12 @@
 //! What a node is made of, as one type.
 
+use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
+use cosmic_core::can::TxNode;
 use cosmic_core::plan::NodePlan;
-use cosmic_core::services::{ClockService, Services};
+use cosmic_core::services::{ClockService, Hosted, News, NodeConfig, NodeServices, Services};
 use cosmic_core::sync::SyncConfigError;
 use cosmic_core::time::{GlobalClock, Instant};
-use cosmic_core::{Capacity, Half as _};
+use cosmic_core::{Capacity, Half as _, Subject};
 
 use crate::board::Board;
 use crate::hard::Hard;
@@ -49,6 +51,79 @@ pub trait Timed: Services + Sized {
 
     /// The clock of the cluster as of the last call.
     fn clock(&self) -> GlobalClock;
+
+    /// The TxNode with which the node starts, which the services may still have to claim; `None` if it asks for one.
+    fn tx_node(&self, node: &NodePlan) -> Option<TxNode> {
+        Some(node.tx_node)
+    }
+
+    /// Returns whether the node has the names that frames of this channel bear: its own, and the channel's.
+    fn is_bound(&self, subject: Subject) -> bool {
+        let _ = subject;
+        true
+    }
+
+    /// The oldest piece of news that has not been fetched, of services that tell of the cluster.
+    fn take_news(&mut self) -> Option<News> {
+        None
+    }
+
+    /// Returns whether there is one.
+    fn has_news(&self) -> bool {
+        false
+    }
+}
+
+/// All services, and a broker if the node hosts one. In a [`start_with`](crate::start_with) they can be others than
+/// those of the plan: those of a node that asks the broker for its TxNode.
+impl<
+    const CHANNELS: usize,
+    const DECLARATIONS: usize,
+    const PEERS: usize,
+    const INTERESTS: usize,
+    B: PlannedHost,
+> Timed for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
+{
+    fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
+        let config = NodeConfig::planned(node).ok_or(StartError::NoSync)?;
+        Self::new(&config, node.calendar, B::planned(node), now).map_err(StartError::Sync)
+    }
+
+    fn clock(&self) -> GlobalClock {
+        self.clock().clock()
+    }
+
+    fn tx_node(&self, _: &NodePlan) -> Option<TxNode> {
+        self.claimed()
+    }
+
+    fn is_bound(&self, subject: Subject) -> bool {
+        self.tx_node().is_some() && self.etag_of(subject).is_some()
+    }
+
+    fn take_news(&mut self) -> Option<News> {
+        self.take_news()
+    }
+
+    fn has_news(&self) -> bool {
+        self.has_news()
+    }
+}
+
+/// What a node hosts, as its plan has it: a broker, or `()`.
+pub trait PlannedHost: Hosted {
+    /// For this node.
+    fn planned(node: &NodePlan) -> Self;
+}
+
+impl PlannedHost for () {
+    fn planned(_: &NodePlan) {}
+}
+
+impl<const NODES: usize, const SUBJECTS: usize> PlannedHost for Broker<NODES, SUBJECTS> {
+    fn planned(node: &NodePlan) -> Self {
+        Self::new(node.uid, BrokerTiming::DEFAULT, Nodes::new(), Subjects::new())
+    }
 }
 
 impl Timed for ClockService {

@@ -6,6 +6,7 @@ use crate::calendar::Calendar;
 use crate::can::TxNode;
 use crate::client::{AdmissionEvent, BindingTiming, ConfigurationEvent, ConfigurationTiming, OnDuplicate};
 use crate::membership::{InterestEvent, MemberEvent};
+use crate::plan::NodePlan;
 use crate::protocol::Lease;
 use crate::seal::Seal;
 use crate::sync::{ClockEvent, SyncConfig};
@@ -61,6 +62,14 @@ impl NodeConfig {
             admission: None,
             admission_timing: AdmissionTiming::DEFAULT,
         }
+    }
+
+    /// A node as the plan of its cluster has it, with the TxNode that it has there; `None` if the cluster has no clock
+    /// synchronisation. A node that is to ask the broker for its id has `tx_node: None` instead.
+    pub const fn planned(node: &NodePlan) -> Option<Self> {
+        let Some(clock) = node.sync else { return None };
+        let &NodePlan { uid, tx_node, seal, admission, .. } = node;
+        Some(Self { tx_node: Some(tx_node), clock, seal, admission, ..Self::new(uid) })
     }
 
     pub(super) fn on_duplicate(&self, tx_node: TxNode, calendar: &Calendar) -> OnDuplicate {

@@ -115,6 +115,11 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         self.news.pop()
     }
 
+    /// Returns whether there is a piece of news to be fetched.
+    pub const fn has_news(&self) -> bool {
+        !self.news.is_empty()
+    }
+
     /// News that were lost because nobody fetched them.
     pub const fn news_dropped(&self) -> u16 {
         self.news_dropped
@@ -123,6 +128,11 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     /// The clock.
     pub const fn clock(&self) -> &ClockService {
         &self.clock
+    }
+
+    /// The node's TxNode, or the one that it claims.
+    pub fn claimed(&self) -> Option<TxNode> {
+        self.configuration.claimed()
     }
 
     /// The node's TxNode, if it has one.
