@@ -23,6 +23,8 @@ pub(crate) struct Options {
 pub(crate) enum Example {
     /// An arm, a controller and a panel, with a test that runs them on this machine.
     Robot,
+    /// Nodes that find each other: a broker and its spare, probes that come and go, a lamp; with a test, too.
+    Workshop,
     /// Six nodes whose contents stand in the description of the cluster, to be run by `cargo xtask demo --apps`.
     Rover,
 }
@@ -35,6 +37,12 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
         println!("{folder} is a rover of six nodes. From this repository:");
         println!("  cargo xtask demo --apps {folder}     builds, runs and judges it");
         println!("There: cargo images builds, cargo flash --bin base flashes.");
+        return Ok(());
+    }
+    if options.example == Example::Workshop {
+        println!("{} is a cluster that configures itself. There:", options.directory.display());
+        println!("  cargo test                 builds the images and runs them on an emulated cluster");
+        println!("  cargo flash --bin desk     flashes one of them, by probe-rs");
         return Ok(());
     }
     println!("{} is a cluster of three nodes: arm, controller, panel. There:", options.directory.display());
@@ -54,6 +62,7 @@ pub(crate) fn make(workspace: &Workspace, example: Example, directory: &Path) ->
     }
     match example {
         Example::Robot => copy(&workspace.root().join("examples/robot"), directory)?,
+        Example::Workshop => copy(&workspace.root().join("examples/workshop"), directory)?,
         Example::Rover => {
             copy(&workspace.root().join("examples/rover"), directory)?;
             let (from, to) = (workspace.root().join(ROVER), directory.join("cluster.toml"));
@@ -146,7 +155,7 @@ mod tests {
     /// What the documentation promises: all of an application, in so many lines.
     #[test]
     fn an_application_has_at_most_60_lines() {
-        for (example, programs) in [(Example::Robot, 3), (Example::Rover, 6)] {
+        for (example, programs) in [(Example::Robot, 3), (Example::Workshop, 5), (Example::Rover, 6)] {
             let scratch = Scratch::new("lines");
             make(&Workspace::find().unwrap(), example, &scratch.0).unwrap();
             let applications: Vec<_> = fs::read_dir(scratch.0.join("src/bin")).unwrap().flatten().collect();

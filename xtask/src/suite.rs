@@ -120,6 +120,9 @@ pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> 
     command.env(IMAGES, directory);
     let mut tally = step("testing the firmware in the emulated cluster", || cargo_test(&mut command))?;
     tally.add(step("testing a new repository, made outside this one", || new_repository(workspace, way)));
+    tally.add(step("testing a workshop that configures itself, outside this repository", || {
+        workshop(workspace, way)
+    }));
     tally.add(step("testing a rover of six nodes, outside this repository", || rover(workspace, way)));
     Ok(tally)
 }
@@ -130,6 +133,19 @@ fn new_repository(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let folder = env::temp_dir().join(format!("cosmic-robot-{}", process::id()));
     let tally =
         new::make(workspace, Example::Robot, &folder).and_then(|()| build_and_test(workspace, way, &folder));
+    // What a test leaves behind is no failure.
+    let _ = fs::remove_dir_all(&folder);
+    tally
+}
+
+/// Makes the workshop as a user would, builds it, and runs its own test.
+fn workshop(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
+    let folder = env::temp_dir().join(format!("cosmic-workshop-{}", process::id()));
+    let made = new::make(workspace, Example::Workshop, &folder);
+    let tally = made.and_then(|()| {
+        run::run(&mut images_of(workspace, way, &folder, "workshop"))?;
+        own_test(workspace, way, &folder)
+    });
     // What a test leaves behind is no failure.
     let _ = fs::remove_dir_all(&folder);
     tally
@@ -160,12 +176,9 @@ fn build_and_test(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Resu
 
 /// Builds the images of the repository, runs its own test, and then its program, which says what a document promises.
 fn as_printed(workspace: &Workspace, way: &TargetWay, folder: &Path, document: &str) -> Result<Tally> {
-    run::run(&mut images_of(workspace, way, folder))?;
+    run::run(&mut images_of(workspace, way, folder, "robot"))?;
     let images = way.target_dir(workspace).join(TRIPLE).join(PROFILE);
-    let mut test = workspace.cargo();
-    test.current_dir(folder).args(["test", "--no-fail-fast", "--release"]);
-    test.env("CARGO_TARGET_DIR", workspace.target_dir()).env(IMAGES, &images);
-    let mut tally = cargo_test(&mut test)?;
+    let mut tally = own_test(workspace, way, folder)?;
     let mut program = workspace.cargo();
     program.current_dir(folder).args(["run", "--release"]);
     program.env("CARGO_TARGET_DIR", workspace.target_dir()).env(IMAGES, images);
@@ -173,9 +186,18 @@ fn as_printed(workspace: &Workspace, way: &TargetWay, folder: &Path, document: &
     Ok(tally)
 }
 
-fn images_of(workspace: &Workspace, way: &TargetWay, folder: &Path) -> process::Command {
+/// The test of the repository, on images that are built.
+fn own_test(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally> {
+    let mut test = workspace.cargo();
+    test.current_dir(folder).args(["test", "--no-fail-fast", "--release"]);
+    test.env("CARGO_TARGET_DIR", workspace.target_dir());
+    test.env(IMAGES, way.target_dir(workspace).join(TRIPLE).join(PROFILE));
+    cargo_test(&mut test)
+}
+
+fn images_of(workspace: &Workspace, way: &TargetWay, folder: &Path, package: &str) -> process::Command {
     let mut build = way.cargo(workspace, "build");
-    build.current_dir(folder).args(["--package", "robot", "--profile", PROFILE]);
+    build.current_dir(folder).args(["--package", package, "--profile", PROFILE]);
     build.env("CARGO_TARGET_DIR", way.target_dir(workspace));
     build
 }
@@ -188,7 +210,7 @@ fn wrong_plan(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<T
     let line =
         wrong.lines().position(|line| line.starts_with("peroid")).context("no channel has a period")? + 1;
     fs::write(&path, &wrong).with_context(|| format!("writing {}", path.display()))?;
-    let built = run::with_complaints(&mut images_of(workspace, way, folder));
+    let built = run::with_complaints(&mut images_of(workspace, way, folder, "robot"));
     fs::write(&path, right).with_context(|| format!("writing {}", path.display()))?;
     let (status, said) = built?;
     let place = format!("cluster.toml:{line}:");

@@ -1,0 +1,3 @@
+fn main() {
+    cosmic_plan::compile("../cluster.toml");
+}

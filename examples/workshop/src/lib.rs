@@ -1,0 +1,120 @@
+//! What the nodes of the workshop share: the plan, the contents, and the two ways in which a node is brought up.
+#![no_std]
+
+use core::marker::PhantomData;
+
+pub use boards::Stm32F405;
+pub use cosmic_core::broker::Broker;
+use cosmic_core::event_layer::Channel;
+pub use cosmic_core::event_layer::{Attribute, Context, Event, Filter};
+use cosmic_core::plan::NodePlan;
+use cosmic_core::services::{News, NodeConfig, NodeServices};
+pub use cosmic_rtic::prelude::*;
+use cosmic_rtic::{Log, PlannedHost};
+
+// What `cosmic-plan` makes of cluster.toml: the module `plan`.
+cosmic_core::include_plan!();
+
+cosmic_core::content! {
+    /// Everybody stops.
+    #[derive(Clone, Copy, Debug, defmt::Format)]
+    pub struct Stop {
+        /// The reading that is the reason.
+        pub reading: u16,
+    }
+}
+
+cosmic_core::content! {
+    /// What a probe has measured. Where, and by which sensor, says the context of the event.
+    #[derive(Clone, Copy, Debug, defmt::Format)]
+    pub struct Reading {
+        /// In hundredths.
+        pub value: u16,
+    }
+}
+
+/// Hard real-time, sporadic.
+pub const EMERGENCY_STOP: Channel<Stop> = plan::channels::emergency_stop::channel();
+
+/// Soft real-time; the broker gives the etag.
+pub const READING: Channel<Reading> = plan::channels::reading::channel::<Reading>().with_context();
+
+/// What a node of the workshop is made of: all services, and what it hosts.
+pub struct Workshop<B = ()>(PhantomData<B>);
+
+/// One that hosts a broker for so many nodes and subjects.
+pub type Host = Workshop<Broker<16, 16>>;
+
+impl<B: PlannedHost + 'static> System for Workshop<B> {
+    type Board = Stm32F405;
+    type Capacity = plan::Capacities;
+    type Services = NodeServices<8, 16, 8, 16, B>;
+    type Observer = Log;
+}
+
+/// Starts a node with the id that it has in the plan.
+pub fn start<B: PlannedHost>(
+    resources: boards::stm32f4::Resources,
+    node: &NodePlan,
+    storage: &'static mut Storage<Workshop<B>>,
+) -> Parts<Workshop<B>> {
+    cosmic_rtic::start_observed(board(resources, node), node, storage, Log, ()).expect(CLOCKED)
+}
+
+/// Starts a node that asks the broker for its id.
+pub fn join(
+    resources: boards::stm32f4::Resources,
+    node: &NodePlan,
+    storage: &'static mut Storage<Workshop>,
+) -> Parts<Workshop> {
+    let board = board(resources, node);
+    let config = NodeConfig { tx_node: None, ..NodeConfig::planned(node).expect(CLOCKED) };
+    let services = NodeServices::new(&config, node.calendar, (), Stm32F405::now()).expect(CLOCKED);
+    cosmic_rtic::start_with(board, node, storage, services, Log, ())
+}
+
+/// The board, with its log.
+fn board(resources: boards::stm32f4::Resources, node: &NodePlan) -> Stm32F405 {
+    cosmic_rtt::start!(2048, cosmic_rtic::EVENT_PRIORITY);
+    Stm32F405::start(resources, node).expect("the plan fits the board")
+}
+
+/// Tells what becomes of the node and of the broker that it hosts.
+pub async fn tell<B: PlannedHost + 'static>(mut node: impl Mutex<T = Node<Workshop<B>>>) {
+    loop {
+        match next_news(&mut node).await {
+            News::Configuration(event) => defmt::info!("{}", event),
+            News::Broker(event) => defmt::info!("{}", event),
+            News::Member(event) => defmt::info!("{}", event),
+            _ => {}
+        }
+    }
+}
+
+/// A probe: measures fifty times, gives its channel up, rests, and announces it again.
+pub async fn measure(location: u16, mut node: impl Mutex<T = Node<Workshop>>) {
+    let context = Context::EMPTY.with(Attribute::Location, location.into()).expect("there is room");
+    let mut values = 0..;
+    loop {
+        let readings = Publisher::announce(&READING, &mut node).expect(PLANNED);
+        readings.bound(&mut node).await;
+        let mut ticker = Ticker::<Stm32F405>::every(plan::channels::reading::MIN_INTERARRIVAL);
+        for value in values.by_ref().take(50) {
+            ticker.tick().await;
+            let event = Event::new(Reading { value }).context(context);
+            let _ = readings.publish_event(&event, &mut node);
+        }
+        defmt::info!("rests, and gives its channel up");
+        readings.cancel(&mut node);
+        Stm32F405::delay_until(Stm32F405::now() + REST).await;
+    }
+}
+
+/// Events that wait for a subscriber.
+pub const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
+/// Why a channel can be announced and subscribed to.
+pub const PLANNED: &str = "the plan has the channel";
+/// Why the services can be started.
+const CLOCKED: &str = "the plan has a clock";
+/// Of a probe and of the lamp.
+pub const REST: Duration = Duration::from_millis(300);
