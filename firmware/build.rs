@@ -9,7 +9,9 @@ use std::{env, fs};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed=COSMIC_CLUSTER");
-    cosmic_plan::compile(env::var_os("COSMIC_CLUSTER").unwrap_or_else(|| EXAMPLE.into()));
+    let cluster = env::var_os("COSMIC_CLUSTER").unwrap_or_else(|| EXAMPLE.into());
+    // Applications log contents.
+    cosmic_plan::Config::default().derive("defmt::Format").compile(cluster);
     // On the host there is nothing to place in memory.
     if env::var("CARGO_CFG_TARGET_ARCH")? != "arm" {
         return Ok(());

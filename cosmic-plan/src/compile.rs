@@ -14,6 +14,11 @@ use std::{env, fmt, fs, io};
 /// The name of the file that [`cosmic_core::include_plan!`] includes.
 const FILE: &str = "plan.rs";
 
+/// The environment variable by which a program that calls cargo may tell what is in a description: a hash, a space, and
+/// the full path of the file. A description that was written again, but is the same, is then no reason to build anew. By
+/// the time of the file alone, which is all that cargo looks at, it is.
+pub const CONTENT: &str = "COSMIC_CLUSTER_CONTENT";
+
 /// Plans a cluster for the program whose build script calls this. The program then says
 /// [`cosmic_core::include_plan!`].
 ///
@@ -74,7 +79,10 @@ impl Config {
 }
 
 fn try_to_compile(file: &Path, derives: &[String]) -> Result<(), CompileError> {
-    println!("cargo::rerun-if-changed={}", file.display());
+    println!("cargo::rerun-if-env-changed={CONTENT}");
+    if !is_followed(file, env::var(CONTENT).ok().as_deref()) {
+        println!("cargo::rerun-if-changed={}", file.display());
+    }
     let out = env::var_os("OUT_DIR").map(PathBuf::from).ok_or(CompileError::NoBuildScript)?;
     let text = read_text(file).map_err(|error| CompileError::Unreadable(file.into(), error))?;
     let source = Source::new(file.display().to_string(), text);
@@ -85,6 +93,12 @@ fn try_to_compile(file: &Path, derives: &[String]) -> Result<(), CompileError> {
     let rendered = planned(file, &cluster, derives)?;
     let path = out.join(FILE);
     fs::write(&path, rendered).map_err(|error| CompileError::Unwritable(path, error))
+}
+
+/// Returns whether the variable [`CONTENT`] is about this file.
+fn is_followed(file: &Path, content: Option<&str>) -> bool {
+    let told = content.and_then(|content| content.split_once(' '));
+    told.is_some_and(|(_, path)| file.canonicalize().is_ok_and(|file| file == Path::new(path)))
 }
 
 /// The text of the constants.
@@ -158,3 +172,19 @@ impl fmt::Display for CompileError {
 }
 
 impl std::error::Error for CompileError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_file_that_a_caller_follows_is_followed() {
+        let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let (vehicle, rover) = (here.join("examples/vehicle.toml"), here.join("examples/rover.toml"));
+        let told = format!("0123abcd {}", vehicle.canonicalize().unwrap().display());
+        assert!(is_followed(&vehicle, Some(&told)));
+        assert!(is_followed(&here.join("src/../examples/vehicle.toml"), Some(&told)));
+        assert!(!is_followed(&rover, Some(&told)) && !is_followed(&vehicle, None));
+        assert!(!is_followed(&here.join("none.toml"), Some("0123abcd none.toml")));
+    }
+}

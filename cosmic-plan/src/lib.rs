@@ -28,4 +28,4 @@ pub mod plan;
 pub mod units;
 pub mod verify;
 
-pub use compile::{CompileError, Config, compile, try_compile};
+pub use compile::{CONTENT, CompileError, Config, compile, try_compile};

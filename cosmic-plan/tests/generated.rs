@@ -72,10 +72,10 @@ use cosmic_core::admission::Unplanned;
 use cosmic_core::event_layer::{Bytes, Channel};
 /// Longer than a frame.
 pub const DIARY: first::channels::diary::MessageChannel<Bytes<40>> = first::channels::diary::channel();
-/// Longer contents do not fit.
-pub const SPEED: Channel<u64> = vehicle::channels::wheel_speed::channel();
+/// Longer contents do not fit; what states no fields is bytes.
+pub const SPEED: Channel<Bytes<7>> = vehicle::channels::wheel_speed::channel();
 /// Its etag comes from the broker.
-pub const HEAT: Channel<i16> = brokered::channels::temperature::channel();
+pub const HEAT: Channel<brokered::contents::Temperature> = brokered::channels::temperature::channel();
 /// Shorter ones do.
 pub const ANGLE: Channel<u16> = pooled::channels::joint_angle::channel();
 /// What is described needs no type of one's own.

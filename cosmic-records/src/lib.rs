@@ -7,6 +7,7 @@
 //! | [`record`] | a record and its bytes; both ends use it |
 //! | `recorder` (feature `recorder`) | the observer who writes them, for any content |
 //! | `rtt` (feature `rtt`) | where they go: an RTT up-channel beside the log |
+//! | [`watch`] | that observer over RTT if the feature `watched` is on, or nobody |
 //!
 //! A node that is to be judged writes its records into an RTT up-channel named [`CHANNEL`], which a debug probe
 //! reads; the emulated cluster reads it in the same way.
@@ -28,10 +29,15 @@ pub mod record;
 pub mod recorder;
 #[cfg(feature = "rtt")]
 pub mod rtt;
+pub mod watch;
 
 pub use record::{Digest, Queue, Record, RecordError, RecordKind};
 #[cfg(feature = "recorder")]
 pub use recorder::{Recorder, Sink};
+
+#[cfg(feature = "watched")]
+#[doc(hidden)]
+pub use cosmic_rtt;
 
 /// The name of the RTT up-channel that carries records.
 pub const CHANNEL: &str = "records";

@@ -8,19 +8,28 @@ use anyhow::{Context as _, Result, bail};
 use serde_json::Value;
 
 use crate::images::{self, PROFILE};
+use crate::plan;
 use crate::run::step;
 use crate::target::{TRIPLE, TargetWay};
 use crate::workspace::{self, Workspace};
 
+/// What was built.
+pub(crate) struct Apps {
+    /// Where the images are.
+    pub(crate) directory: PathBuf,
+    /// How many of them were compiled, and not found up to date.
+    pub(crate) compiled: usize,
+}
+
 /// Builds all programs of the repository around `folder` that are named like a node of the cluster, with the feature
-/// that has them observed, if they have it. Returns where they are. `target_dir`: build there, instead of in the
+/// that has them observed, if they have it. `target_dir`: build there, instead of in the
 /// repository's own folder of build products.
 pub(crate) fn build(
     way: &TargetWay,
     folder: &Path,
     cluster: &Path,
     target_dir: Option<&Path>,
-) -> Result<PathBuf> {
+) -> Result<Apps> {
     let metadata = workspace::metadata(folder)?;
     let theirs = Workspace::of(&metadata)?.building_in(target_dir);
     let nodes = nodes(cluster)?;
@@ -29,10 +38,11 @@ pub(crate) fn build(
         let names = nodes.into_iter().collect::<Vec<_>>().join("`, `");
         bail!("no package in {} has a program named like a node of the cluster: `{names}`", folder.display());
     }
-    let mut directory = way.target_dir(&theirs).join(TRIPLE).join(PROFILE);
+    let mut apps = Apps { directory: way.target_dir(&theirs).join(TRIPLE).join(PROFILE), compiled: 0 };
     for Package { name, programs, is_observed } in packages {
         let mut command = way.cargo(&theirs, "build");
         command.env("CARGO_TARGET_DIR", theirs.target_dir());
+        plan::follow(&mut command, cluster)?;
         if is_observed {
             command.args(["--features", OBSERVED]);
         } else {
@@ -42,9 +52,10 @@ pub(crate) fn build(
         }
         let built =
             step(&format!("building the images of `{name}`"), || images::build(command, &name, &programs))?;
-        directory = built.directory().map_or(directory, Path::to_owned);
+        apps.compiled += built.compiled;
+        apps.directory = built.directory().map_or(apps.directory, Path::to_owned);
     }
-    Ok(directory)
+    Ok(apps)
 }
 
 /// A package with programs for nodes.

@@ -24,6 +24,7 @@ use crate::suite;
 use crate::tally::Tally;
 use crate::target::TargetWay;
 use crate::tools;
+use crate::walk;
 use crate::workspace::Workspace;
 
 /// Carries out all steps, also after one has failed. The last line is `N passed, N failed`: tests of all
@@ -49,6 +50,7 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
         tally.add(bench::check(workspace, &way));
     }
     tally.add(suite::emulated(workspace, &way));
+    tally.add(walk::test(workspace));
     tally.add(short_demo(workspace));
     tally.add(bit_rates::test(workspace));
     Ok(tally.conclude())

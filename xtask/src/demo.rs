@@ -28,6 +28,15 @@ pub(crate) fn task(workspace: &Workspace, arguments: &Arguments) -> Result<ExitC
     run(workspace, &arguments.all).map(ExitCode::from)
 }
 
+/// Runs ELF files that a user names. Their exit code is that of the demo.
+pub(crate) fn run_elf_files(workspace: &Workspace, arguments: &Arguments) -> Result<ExitCode> {
+    if Options::read(&arguments.all).is_ok_and(|options| options.elf_files.is_empty()) {
+        eprintln!("error: name the ELF files of the nodes: `cargo xtask run [OPTIONS] <ELF>...`");
+        return Ok(ExitCode::from(2));
+    }
+    task(workspace, arguments)
+}
+
 /// Builds the firmware and the demo, starts it, and gives its exit code.
 pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
     // Before anything is installed or built.
@@ -38,15 +47,18 @@ pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
             return Ok(u8::try_from(refusal.exit_code()).unwrap_or(1));
         }
     };
+    let is_of_elf_files = !options.elf_files.is_empty();
     let cluster = plan::find(match (&options.cluster, &options.apps) {
         (Some(file), _) => file.clone(),
         (None, Some(apps)) => apps.join(plan::OF_A_REPOSITORY),
+        (None, None) if is_of_elf_files => plan::OF_A_REPOSITORY.into(),
         (None, None) => plan::example(workspace),
     })?;
     let images = match (&options.images, &options.apps) {
-        (Some(images), _) => images.clone(),
-        (None, Some(apps)) => apps::build(&setup::prepare(&[])?, apps, &cluster, None)?,
-        (None, None) => images::kept(workspace, &setup::prepare(&[])?, &cluster, &[])?.0,
+        (Some(images), _) => Some(images.clone()),
+        (None, Some(apps)) => Some(apps::build(&setup::prepare(&[])?, apps, &cluster, None)?.directory),
+        (None, None) if is_of_elf_files => None,
+        (None, None) => Some(images::kept(workspace, &setup::prepare(&[])?, &cluster, &[])?.0),
     };
     let mut program = workspace.cargo();
     program.args(["build", "--release", "--package", PACKAGE, "--bin", "demo"]);
@@ -55,7 +67,11 @@ pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
     // write are named from where the user is.
     let program = workspace.target_dir().join("release").join(format!("demo{EXE_SUFFIX}"));
     let mut demo = Command::new(program);
-    demo.arg("--cluster").arg(cluster).arg("--images").arg(images).args(of_the_demo(arguments));
+    demo.arg("--cluster").arg(cluster);
+    if let Some(images) = images {
+        demo.arg("--images").arg(images);
+    }
+    demo.args(of_the_demo(arguments));
     let status = run::status(&mut demo)?;
     // Ended by a signal, it has no code.
     Ok(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))

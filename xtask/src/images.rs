@@ -22,6 +22,8 @@ pub(crate) type Images = BTreeMap<String, PathBuf>;
 pub(crate) struct Built {
     /// The programs, by name.
     pub(crate) images: Images,
+    /// How many of them were compiled, and not found up to date.
+    pub(crate) compiled: usize,
     /// Warnings about our own packages.
     pub(crate) warnings: usize,
 }
@@ -43,6 +45,7 @@ pub(crate) fn firmware(
     step(&format!("building the firmware images for {}", cluster.display()), || {
         let mut command = way.cargo(workspace, "build");
         command.env(plan::VARIABLE, cluster);
+        plan::follow(&mut command, cluster)?;
         build(command, "firmware", names)
     })
 }
@@ -93,9 +96,10 @@ pub(crate) fn build(mut command: Command, package: &str, names: &[String]) -> Re
     for name in names {
         command.args(["--bin", name]);
     }
-    let mut built = Built { images: Images::new(), warnings: 0 };
+    let mut built = Built { images: Images::new(), compiled: 0, warnings: 0 };
     let status = run::lines(&mut command, |line| match CargoLine::parse(line) {
-        Some(CargoLine::Image { name, path }) => {
+        Some(CargoLine::Image { name, path, is_fresh }) => {
+            built.compiled += usize::from(!is_fresh);
             built.images.insert(name, path);
         }
         Some(CargoLine::Diagnostic { text, is_warning }) => {
@@ -114,7 +118,7 @@ pub(crate) fn build(mut command: Command, package: &str, names: &[String]) -> Re
 #[derive(PartialEq, Eq, Debug)]
 enum CargoLine {
     /// A program was built, or is up to date.
-    Image { name: String, path: PathBuf },
+    Image { name: String, path: PathBuf, is_fresh: bool },
     /// The compiler has something to say.
     Diagnostic { text: String, is_warning: bool },
 }
@@ -128,7 +132,8 @@ impl CargoLine {
                 // A build script is an executable too, but of the host.
                 let is_program = value["target"]["kind"].as_array()?.iter().any(|kind| kind == "bin");
                 let name = value["target"]["name"].as_str()?;
-                is_program.then(|| Self::Image { name: name.into(), path: path.into() })
+                let is_fresh = value["fresh"] == true;
+                is_program.then(|| Self::Image { name: name.into(), path: path.into(), is_fresh })
             }
             "compiler-message" => {
                 let message = &value["message"];
@@ -152,8 +157,8 @@ mod tests {
     #[test]
     fn programs_are_found_in_cargos_messages() {
         let line = r#"{"reason":"compiler-artifact","target":{"kind":["bin"],"name":"sensor"},
-            "executable":"/t/sensor"}"#;
-        let image = CargoLine::Image { name: "sensor".into(), path: "/t/sensor".into() };
+            "executable":"/t/sensor","fresh":true}"#;
+        let image = CargoLine::Image { name: "sensor".into(), path: "/t/sensor".into(), is_fresh: true };
         assert_eq!(CargoLine::parse(line), Some(image));
         let script = r#"{"reason":"compiler-artifact","target":{"kind":["custom-build"],"name":"b"},
             "executable":"/t/build-script-build"}"#;

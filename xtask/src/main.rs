@@ -30,6 +30,7 @@ mod suite;
 mod tally;
 mod target;
 mod tools;
+mod walk;
 mod workspace;
 
 use std::process::ExitCode;
@@ -55,6 +56,9 @@ enum Task {
     Build(build::Options),
     /// Run the firmware on an emulated cluster and show what each channel did.
     Demo(demo::Arguments),
+    /// Run ELF files of your own on an emulated cluster, and judge them: one for each node of cluster.toml here, or of the
+    /// --cluster FILE.
+    Run(demo::Arguments),
     /// Measure scheduling, clocks and speed on the simulated bus; see docs/experiments.md.
     Experiment(experiment::Options),
     /// Run all tests: on the host, on Linux links, in the emulated cluster, in QEMU.
@@ -97,6 +101,7 @@ fn perform(task: Task, workspace: &Workspace) -> anyhow::Result<ExitCode> {
         }
         Task::Build(options) => build::task(workspace, &options)?,
         Task::Demo(options) => return demo::task(workspace, &options),
+        Task::Run(options) => return demo::run_elf_files(workspace, &options),
         Task::Experiment(options) => return experiment::task(workspace, &options),
         Task::Test(options) => return suite::task(workspace, &options),
         Task::Bench(options) => return bench::task(workspace, &options),

@@ -306,9 +306,19 @@ mod tests {
         assert_eq!(read.messages.len(), cluster.channels.len() + 2);
         let wheel_speed = read.messages.iter().find(|m| m.name == "wheel_speed").expect("it is there");
         assert_eq!(wheel_speed.id, can_dbc::MessageId::Extended(1 << 14 | 100));
-        // Without a content each byte is a signal.
-        assert_eq!(wheel_speed.signals.len(), 8);
+        let signals: Vec<_> = wheel_speed.signals.iter().map(|signal| &*signal.name).collect();
+        assert_eq!(signals, ["sequence", "speed", "valid"]);
         assert_eq!(wheel_speed.transmitter.as_deref(), Some("sensor"));
+    }
+
+    #[test]
+    fn without_a_content_each_byte_is_a_signal() {
+        let text = crate::cluster::EXAMPLE.replace("content = \"wheel_speed\"", "length = 7");
+        let cluster = Cluster::read(&Source::new("a.toml", text)).expect("it is good, too");
+        let text = render(&cluster, Identifiers::One);
+        let read = can_dbc::Dbc::try_from(text.as_str()).expect("it is a DBC file");
+        let wheel_speed = read.messages.iter().find(|m| m.name == "wheel_speed").expect("it is there");
+        assert_eq!(wheel_speed.signals.len(), 7);
     }
 
     #[test]

@@ -80,11 +80,14 @@ fn write_all(out: &mut String, cluster: &Cluster, source_name: &str) -> std::fmt
 
 fn write_control_field(out: &mut String, message: &str, field: &ControlField) -> std::fmt::Result {
     let abbreviation = format!("cosmic.{message}.{}", field.name);
+    let mut more = String::new();
     let (proto, unit) = match field.shown {
         Shown::Hexadecimal if field.bits > 32 => {
+            more += ", hexadecimal = true";
             (format!("ProtoField.uint64(\"{abbreviation}\", \"{}\", base.HEX)", field.name), "")
         }
         Shown::Hexadecimal => {
+            more += ", hexadecimal = true";
             (format!("ProtoField.uint32(\"{abbreviation}\", \"{}\", base.HEX)", field.name), "")
         }
         Shown::Decimal(unit) if field.bits > 32 => {
@@ -94,20 +97,17 @@ fn write_control_field(out: &mut String, message: &str, field: &ControlField) ->
         Shown::Names(names) => {
             let names: Vec<String> =
                 names.iter().map(|(value, name)| format!("[{value}] = \"{name}\"")).collect();
-            (
-                format!(
-                    "ProtoField.uint32(\"{abbreviation}\", \"{}\", base.DEC, {{ {} }})",
-                    field.name,
-                    names.join(", ")
-                ),
-                "",
-            )
+            let names = names.join(", ");
+            more += &format!(", names = {{ {names} }}");
+            let proto =
+                format!("ProtoField.uint32(\"{abbreviation}\", \"{}\", base.DEC, {{ {names} }})", field.name);
+            (proto, "")
         }
     };
     writeln!(
         out,
-        "    {{ proto = {proto}, at = {}, width = {}, kind = \"unsigned\", unit = \"{unit}\" }},",
-        field.at, field.bits
+        "    {{ name = \"{}\", proto = {proto}, at = {}, width = {}, kind = \"unsigned\", unit = \"{unit}\"{more} }},",
+        field.name, field.at, field.bits
     )
 }
 
@@ -134,7 +134,7 @@ fn write_field(out: &mut String, layout: &Layout, field: &FieldLayout, position:
     let signed = if matches!(field.kind, FieldType::Signed(_)) { ", signed = true" } else { "" };
     write!(
         out,
-        "    {{ proto = ProtoField.{proto}(\"{abbreviation}\", \"{name}\"{labels}), at = {}, width = {}, kind = \"{kind}\"{signed}{little}, unit = {}",
+        "    {{ name = \"{name}\", proto = ProtoField.{proto}(\"{abbreviation}\", \"{name}\"{labels}), at = {}, width = {}, kind = \"{kind}\"{signed}{little}, unit = {}",
         field.bit_of(position),
         field.kind.bits(),
         text(field.unit.as_deref().unwrap_or(""))
@@ -156,7 +156,8 @@ fn write_field(out: &mut String, layout: &Layout, field: &FieldLayout, position:
         write!(out, ", least = {}, greatest = {}", field.raw_range.0, field.raw_range.1)?;
     }
     if !field.labels.is_empty() {
-        let names: Vec<String> = field.labels.iter().map(|label| format!("[{}] = true", label.raw)).collect();
+        let names: Vec<String> =
+            field.labels.iter().map(|label| format!("[{}] = \"{}\"", label.raw, label.name)).collect();
         write!(out, ", named = {{ {} }}", names.join(", "))?;
     }
     writeln!(out, " }},")
@@ -274,6 +275,29 @@ local function value_of(bits, range, field)
     return Int64.new(wide:lower(), wide:higher()):arshift(spare)
 end
 
+-- What the list of frames shows of a field. An item has no text of its own there.
+local function text_of(field, bits, value, number)
+    local names = field.named or field.names
+    local text
+    if names and names[number] then
+        text = names[number] .. string.format(" (%.0f)", number)
+    elseif field.hexadecimal then
+        text = "0x" .. bits:tohex():sub(17 - math.ceil(field.width / 4))
+    elseif field.kind == "boolean" then
+        text = value and "True" or "False"
+    elseif field.kind == "single" then
+        text = string.format("%.7g", value)
+    elseif field.kind == "double" or field.kind == "scaled" then
+        text = string.format("%.15g", value)
+    elseif field.width <= 32 then
+        text = string.format("%.0f", value)
+    else
+        text = tostring(value)
+    end
+    if field.unit ~= "" then text = text .. " " .. field.unit end
+    return field.name .. ": " .. text
+end
+
 local function add_fields(buffer, tree, fields, summary)
     for _, field in ipairs(fields) do
         local bits, range = bits_of(buffer, field)
@@ -286,7 +310,7 @@ local function add_fields(buffer, tree, fields, summary)
         if field.named and not field.named[number] then
             item:add_proto_expert_info(malformed, "a value without a name")
         end
-        if summary then summary[#summary + 1] = item.text end
+        if summary then summary[#summary + 1] = text_of(field, bits, value, number) end
     end
 end
 

@@ -6,15 +6,12 @@ pub use cosmic_core::event_layer::Bytes;
 use cosmic_core::event_layer::Channel;
 use cosmic_core::plan::NodePlan;
 use cosmic_core::services::ClockService;
+use cosmic_records::watch::{self, Watcher};
 use cosmic_rtic::Log;
 pub use cosmic_rtic::prelude::*;
 
 use plan::channels;
 pub use plan::contents::{JointAngle, MotorHeat, SetPoint};
-use watch::Watcher;
-
-mod watch;
-
 // What `cosmic-plan` makes of cluster.toml: the module `plan`.
 cosmic_core::include_plan!();
 
@@ -30,14 +27,14 @@ impl cosmic_rtic::System for Robot {
 
 /// Brings the board up that a node of the plan runs on, with its log.
 pub fn board(resources: boards::stm32f4::Resources, node: &NodePlan) -> Stm32F405 {
-    watch::open();
+    cosmic_records::open!(4096);
     cosmic_rtt::start!(1024, cosmic_rtic::EVENT_PRIORITY);
     Stm32F405::start(resources, node).expect("the plan fits the board")
 }
 
 /// Starts the node.
 pub fn start(board: Stm32F405, node: &NodePlan, storage: &'static mut Storage<Robot>) -> Parts<Robot> {
-    let observers = (Log, watch::watcher());
+    let observers = (Log, watch::watcher(&plan::CHANNELS));
     cosmic_rtic::start_observed(board, node, storage, observers, ((), ())).expect("the plan has a clock")
 }
 

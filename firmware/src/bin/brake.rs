@@ -7,8 +7,9 @@ use cosmic_rtt as _;
 #[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2, SPI3])]
 mod app {
     use cosmic_rtic::prelude::*;
+    use firmware::cluster::plan::channels::{brake_force, suspension, temperature, wheel_speed};
+    use firmware::cluster::plan::contents::BrakeForce;
     use firmware::cluster::plan::nodes;
-    use firmware::cluster::{self, BrakeForce};
     use firmware::signals;
     use firmware::vehicle::{Vehicle, planned, start};
 
@@ -88,10 +89,10 @@ mod app {
     #[task(shared = [node, disc], priority = 1)]
     async fn brake(mut context: brake::Context) {
         let brake::SharedResources { node, disc, .. } = &mut context.shared;
-        let Some(brake_force) = planned(Publisher::announce(&cluster::BRAKE_FORCE, node)) else { return };
+        let Some(brake_force) = planned(Publisher::announce(&brake_force::CHANNEL, node)) else { return };
         // The publisher waits for it, too: before, there is nothing that could be missed.
         settled(node).await;
-        let Some(wheel_speed) = planned(Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node)) else {
+        let Some(wheel_speed) = planned(Subscriber::subscribe(&wheel_speed::CHANNEL, QUEUE, node)) else {
             return;
         };
         let mut sequence = 0;
@@ -111,19 +112,19 @@ mod app {
     #[task(shared = [node, disc], priority = 1)]
     async fn watch_temperature(mut context: watch_temperature::Context) {
         let watch_temperature::SharedResources { node, disc, .. } = &mut context.shared;
-        let Some(temperature) = planned(Subscriber::subscribe(&cluster::TEMPERATURE, QUEUE, node)) else {
+        let Some(temperature) = planned(Subscriber::subscribe(&temperature::CHANNEL, QUEUE, node)) else {
             return;
         };
         loop {
             let event = temperature.next(node).await;
-            disc.lock(|disc| *disc = event.content.centidegrees);
+            disc.lock(|disc| *disc = event.content.temperature);
         }
     }
 
     #[task(shared = [node], priority = 1)]
     async fn watch_suspension(mut context: watch_suspension::Context) {
         let node = &mut context.shared.node;
-        let Some(suspension) = planned(Subscriber::subscribe(&cluster::SUSPENSION, QUEUE, node)) else {
+        let Some(suspension) = planned(Subscriber::subscribe(&suspension::CHANNEL, QUEUE, node)) else {
             return;
         };
         loop {

@@ -9,16 +9,14 @@ use cosmic_rtt as _;
 mod app {
     use boards::Stm32F405;
     use cosmic_rtic::prelude::*;
-    use firmware::cluster::plan::{channels, nodes};
-    use firmware::cluster::{self, LogEntry, Suspension};
+    use firmware::cluster::plan::channels::{brake_force, logbook, suspension, wheel_speed};
+    use firmware::cluster::plan::contents::{LogEntry, LogEntryCode, Suspension};
+    use firmware::cluster::plan::nodes;
     use firmware::signals;
     use firmware::vehicle::{Vehicle, planned, start};
 
-    const SUSPENSION_PERIOD: Duration = channels::suspension::PERIOD;
-    /// Codes of the logbook.
-    const SPEED: u16 = 1;
-    const FORCE: u16 = 2;
-    const LOGBOOK_PERIOD: Duration = channels::logbook::MIN_INTERARRIVAL;
+    const SUSPENSION_PERIOD: Duration = suspension::PERIOD;
+    const LOGBOOK_PERIOD: Duration = logbook::MIN_INTERARRIVAL;
 
     /// For each subscription.
     const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
@@ -26,8 +24,8 @@ mod app {
     #[shared]
     struct Shared {
         node: Node<Vehicle>,
-        /// What was observed last: a code of the logbook, and the value.
-        seen: (u16, u16),
+        /// What was observed last: what is logged of it, and the value.
+        seen: (LogEntryCode, u16),
     }
 
     #[local]
@@ -56,7 +54,10 @@ mod app {
         ];
         // Each task is spawned once, so there is room for it.
         defmt::assert!(spawned.iter().all(Result::is_ok));
-        (Shared { node, seen: (SPEED, 0) }, Local { calendar, urgent, outcomes, status, other, events })
+        (
+            Shared { node, seen: (LogEntryCode::Speed, 0) },
+            Local { calendar, urgent, outcomes, status, other, events },
+        )
     }
 
     #[task(local = [calendar], priority = 7)]
@@ -97,7 +98,7 @@ mod app {
     #[task(shared = [node], priority = 1)]
     async fn measure_suspension(mut context: measure_suspension::Context) {
         let node = &mut context.shared.node;
-        let Some(suspension) = planned(Publisher::announce(&cluster::SUSPENSION, node)) else { return };
+        let Some(suspension) = planned(Publisher::announce(&suspension::CHANNEL, node)) else { return };
         let mut ticker = Ticker::<Stm32F405>::every(SUSPENSION_PERIOD);
         let mut sequence = 0;
         loop {
@@ -112,7 +113,7 @@ mod app {
     #[task(shared = [node, seen], priority = 1)]
     async fn write_logbook(mut context: write_logbook::Context) {
         let write_logbook::SharedResources { node, seen, .. } = &mut context.shared;
-        let Some(logbook) = planned(Publisher::announce(&cluster::LOGBOOK, node)) else { return };
+        let Some(logbook) = planned(Publisher::announce(&logbook::CHANNEL, node)) else { return };
         let mut ticker = Ticker::<Stm32F405>::every(LOGBOOK_PERIOD);
         let mut sequence = 0;
         loop {
@@ -128,24 +129,24 @@ mod app {
         let watch_wheel::SharedResources { node, seen, .. } = &mut context.shared;
         // The publisher waits for it, too: before, there is nothing that could be missed.
         settled(node).await;
-        let Some(wheel_speed) = planned(Subscriber::subscribe(&cluster::WHEEL_SPEED, QUEUE, node)) else {
+        let Some(wheel_speed) = planned(Subscriber::subscribe(&wheel_speed::CHANNEL, QUEUE, node)) else {
             return;
         };
         loop {
             let event = wheel_speed.next(node).await;
-            seen.lock(|seen| *seen = (SPEED, event.content.speed));
+            seen.lock(|seen| *seen = (LogEntryCode::Speed, event.content.speed));
         }
     }
 
     #[task(shared = [node, seen], priority = 1)]
     async fn watch_brake(mut context: watch_brake::Context) {
         let watch_brake::SharedResources { node, seen, .. } = &mut context.shared;
-        let Some(brake_force) = planned(Subscriber::subscribe(&cluster::BRAKE_FORCE, QUEUE, node)) else {
+        let Some(brake_force) = planned(Subscriber::subscribe(&brake_force::CHANNEL, QUEUE, node)) else {
             return;
         };
         loop {
             let event = brake_force.next(node).await;
-            seen.lock(|seen| *seen = (FORCE, event.content.force));
+            seen.lock(|seen| *seen = (LogEntryCode::Force, event.content.force));
         }
     }
 }

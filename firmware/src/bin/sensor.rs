@@ -8,14 +8,15 @@ use cosmic_rtt as _;
 mod app {
     use boards::Stm32F405;
     use cosmic_rtic::prelude::*;
-    use firmware::cluster::plan::{channels, nodes};
-    use firmware::cluster::{self, Temperature, WheelSpeed};
+    use firmware::cluster::plan::channels::{logbook, temperature, wheel_speed};
+    use firmware::cluster::plan::contents::{Temperature, WheelSpeed};
+    use firmware::cluster::plan::nodes;
     use firmware::signals;
     use firmware::vehicle::{Vehicle, planned, start};
 
     /// A measurement is published this long before its slot.
     const LEAD: Duration = Duration::from_micros(500);
-    const TEMPERATURE_PERIOD: Duration = channels::temperature::PERIOD;
+    const TEMPERATURE_PERIOD: Duration = temperature::PERIOD;
 
     #[shared]
     struct Shared {
@@ -91,26 +92,26 @@ mod app {
         // What is published before the others know the time would be lost.
         settled(node).await;
         // Announced shortly before the first event: from then on a slot without one is an error.
-        before_slot(&channels::wheel_speed::SLOT, LEAD, node).await;
-        let Some(publisher) = planned(Publisher::announce(&cluster::WHEEL_SPEED, node)) else { return };
+        before_slot(&wheel_speed::SLOT, LEAD, node).await;
+        let Some(publisher) = planned(Publisher::announce(&wheel_speed::CHANNEL, node)) else { return };
         let mut sequence = 0;
         loop {
             let content = WheelSpeed { sequence, speed: signals::wheel_speed(sequence), valid: true };
             let _ = publisher.publish(content, node);
             sequence = sequence.wrapping_add(1);
-            before_slot(&channels::wheel_speed::SLOT, LEAD, node).await;
+            before_slot(&wheel_speed::SLOT, LEAD, node).await;
         }
     }
 
     #[task(shared = [node], priority = 1)]
     async fn measure_temperature(mut context: measure_temperature::Context) {
         let node = &mut context.shared.node;
-        let Some(publisher) = planned(Publisher::announce(&cluster::TEMPERATURE, node)) else { return };
+        let Some(publisher) = planned(Publisher::announce(&temperature::CHANNEL, node)) else { return };
         let mut ticker = Ticker::<Stm32F405>::every(TEMPERATURE_PERIOD);
         let mut sequence = 0;
         loop {
             ticker.tick().await;
-            let content = Temperature { sequence, centidegrees: signals::disc_temperature(sequence) };
+            let content = Temperature { sequence, temperature: signals::disc_temperature(sequence) };
             let _ = publisher.publish(content, node);
             sequence = sequence.wrapping_add(1);
         }
@@ -120,7 +121,7 @@ mod app {
     async fn keep_logbook(mut context: keep_logbook::Context) {
         let node = &mut context.shared.node;
         let policy = Policy::Fifo(const { Depth::new(16).unwrap() });
-        let Some(logbook) = planned(Subscriber::subscribe(&cluster::LOGBOOK, policy, node)) else { return };
+        let Some(logbook) = planned(Subscriber::subscribe(&logbook::CHANNEL, policy, node)) else { return };
         loop {
             let entry = logbook.next(node).await;
             defmt::debug!("node {}: {}", entry.publisher, entry.content);

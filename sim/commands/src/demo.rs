@@ -1,6 +1,7 @@
 //! The options of the demo.
 
 use std::path::PathBuf;
+use std::str::FromStr;
 use std::time::Duration;
 
 use clap::Parser;
@@ -12,7 +13,7 @@ use crate::number::within;
 #[command(
     name = "demo",
     bin_name = "cargo xtask demo",
-    override_usage = "cargo xtask demo [OPTIONS]",
+    override_usage = "cargo xtask demo [OPTIONS]\n       cargo xtask run [OPTIONS] <ELF>...",
     max_term_width = 100,
     after_help = NOTES
 )]
@@ -62,6 +63,35 @@ pub struct Options {
     /// Run images that are built already, each with the name of its node, and build nothing
     #[arg(long, value_name = "DIR")]
     pub images: Option<PathBuf>,
+
+    /// Run these images, and build nothing: ELF files with the names of their nodes, or NODE=FILE
+    #[arg(value_name = "ELF", conflicts_with_all = ["images", "apps"])]
+    pub elf_files: Vec<Elf>,
+}
+
+/// An image and the node that it is of.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Elf {
+    /// The name of the node.
+    pub node: String,
+    /// The image.
+    pub file: PathBuf,
+}
+
+impl FromStr for Elf {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        const NAMELESS: &str = "write the path of a file with the name of its node, or NODE=FILE";
+        if let Some((node, file)) = text.split_once('=').filter(|(node, _)| !node.contains('/')) {
+            let is_whole = !node.is_empty() && !file.is_empty();
+            return is_whole.then(|| Self { node: node.into(), file: file.into() }).ok_or(NAMELESS);
+        }
+        let file = PathBuf::from(text);
+        // What a file is called, up to its ending, if it has one: `arm.elf`.
+        let node = file.file_stem().and_then(|name| name.to_str()).ok_or(NAMELESS)?;
+        Ok(Self { node: node.into(), file })
+    }
 }
 
 impl Options {
@@ -134,5 +164,23 @@ mod tests {
         assert_eq!((options.errors, options.load), (1.0, 0.0));
         assert!(Options::read(&right.map(str::to_owned)).is_ok());
         assert!(Options::read(&["--apps", "a", "--images", "b"].map(str::to_owned)).is_err());
+    }
+
+    #[test]
+    fn images_are_named_by_their_nodes_or_like_them() {
+        let read =
+            |words: &[&str]| Options::read(&words.iter().map(|&word| word.to_owned()).collect::<Vec<_>>());
+        let elf_files =
+            read(&["--load", "80", "out/arm", "panel.elf", "hand=out/x=1/gripper"]).unwrap().elf_files;
+        let elf = |node: &str, file: &str| Elf { node: node.into(), file: file.into() };
+        assert_eq!(
+            elf_files,
+            [elf("arm", "out/arm"), elf("panel", "panel.elf"), elf("hand", "out/x=1/gripper")]
+        );
+        for wrong in
+            [&["=arm"][..], &["arm="], &["/"], &["out/arm", "--images", "out"], &["arm", "--apps", "a"]]
+        {
+            assert!(read(wrong).is_err(), "{wrong:?}");
+        }
     }
 }

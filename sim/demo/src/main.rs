@@ -3,7 +3,6 @@
 //! Exit code 0: all as promised. 1: not. 2: it could not be run.
 
 use std::io::{self, IsTerminal as _, Write as _};
-use std::path::Path;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -17,7 +16,7 @@ use cosmic_demo::perfetto;
 use cosmic_demo::picture;
 use cosmic_demo::progress::Progress;
 use cosmic_demo::report::{Report, Settings};
-use cosmic_demo::run::{self, Plan};
+use cosmic_demo::run::{self, Images, Plan};
 use cosmic_demo::table::{Style, Tables};
 use cosmic_demo::verdict::Verdict;
 
@@ -37,7 +36,11 @@ fn main() -> ExitCode {
 fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
     // It lives as long as the program, which runs one cluster.
     let file = options.cluster.as_ref().ok_or("say which cluster runs: --cluster FILE")?;
-    let images = options.images.as_ref().ok_or("say where the images are: --images DIR")?;
+    let images = match &options.images {
+        Some(folder) => Images::Folder(folder.clone()),
+        None if options.elf_files.is_empty() => return Err("say where the images are: --images DIR".into()),
+        None => Images::Files(options.elf_files.clone()),
+    };
     let cluster: &'static Cluster = Box::leak(Box::new(Cluster::read(file)?));
     output::directory(&options.out)?;
     let remedy = "name another directory with --out";
@@ -50,7 +53,7 @@ fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
     let mut trace = options.trace.as_ref().map(|path| Pending::create(path, remedy)).transpose()?;
 
     let mut progress = Progress::new(VirtualInstant::from_ticks(0) + length(options));
-    let journal = run::run(&plan(options, cluster, images)?, &mut log, |now| progress.reached(now))?;
+    let journal = run::run(&plan(options, cluster, images.clone())?, &mut log, |now| progress.reached(now))?;
     eprintln!("demo: {}", progress.finish());
     let verdict = Verdict::of(&journal);
     let settings = settings(options);
@@ -72,11 +75,10 @@ fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
         places.push(("trace for ui.perfetto.dev", trace.finish()?));
     }
     eprintln!(
-        "demo: cluster {}, planned from {}, calendar {:08X}; images in {}",
+        "demo: cluster {}, planned from {}, calendar {:08X}; {images}",
         cluster.name,
         cluster.file.display(),
-        cluster.calendar.digest(),
-        images.display()
+        cluster.calendar.digest()
     );
     let style = if io::stdout().is_terminal() { Style::Colours } else { Style::Plain };
     let mut out = io::stdout().lock();
@@ -90,12 +92,12 @@ fn demonstrate(options: &Options) -> Result<bool, Box<dyn core::error::Error>> {
 fn plan(
     options: &Options,
     cluster: &'static Cluster,
-    images: &Path,
+    images: Images,
 ) -> Result<Plan, Box<dyn core::error::Error>> {
     Ok(Plan {
         handlers: options.trace.is_some(),
         cluster,
-        images: images.into(),
+        images,
         length: length(options),
         seed: options.seed,
         load: Share::percent(options.load).ok_or("--load must be from 0 to 100")?,

@@ -1,14 +1,15 @@
 //! Runs the firmware images on the emulated cluster and writes down what can be observed.
 
 use std::cell::RefCell;
-use std::io;
 use std::path::PathBuf;
 use std::rc::Rc;
+use std::{fmt, io};
 
 use cosmic_bus::trace::Candump;
 use cosmic_bus::{
     BitPosition, Bus, Chance, EventKind, Fault, FaultModel, Filter, Rule, VirtualInstant, WireFrame,
 };
+use cosmic_commands::demo::Elf;
 use cosmic_core::can::{Command, Id, Priority, TxNode};
 use cosmic_core::network::soft::PriorityMap;
 use cosmic_core::time::{Duration, Instant};
@@ -31,8 +32,8 @@ use cosmic_emu::{ClockError, Cluster, LoadError, NodeConfig, NodeId, Observation
 pub struct Plan {
     /// What runs.
     pub cluster: &'static Judged,
-    /// Where the images are; each has the name of its node.
-    pub images: PathBuf,
+    /// The images.
+    pub images: Images,
     /// How long it takes, in virtual time.
     pub length: Duration,
     /// All chance follows from it.
@@ -47,9 +48,68 @@ pub struct Plan {
     pub burst: u32,
 }
 
+/// Where the images are.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub enum Images {
+    /// All in one folder; each has the name of its node.
+    Folder(PathBuf),
+    /// One by one.
+    Files(Vec<Elf>),
+}
+
+impl Images {
+    /// Each image must be of a node.
+    fn all_of(&self, cluster: &Judged) -> Result<(), RunError> {
+        let Self::Files(files) = self else { return Ok(()) };
+        let is_strange = |elf: &&Elf| cluster.nodes.iter().all(|node| node.name != elf.node);
+        let Some(strange) = files.iter().find(is_strange) else { return Ok(()) };
+        let names: Vec<_> = cluster.nodes.iter().map(|node| node.name).collect();
+        let (file, names) = (strange.file.clone(), names.join(", "));
+        Err(RunError::NoNode { node: strange.node.clone(), file, cluster: cluster.name.clone(), names })
+    }
+
+    /// The image of a node.
+    fn of(&self, node: &str) -> Option<PathBuf> {
+        match self {
+            Self::Folder(folder) => Some(folder.join(node)),
+            Self::Files(files) => files.iter().find(|elf| elf.node == node).map(|elf| elf.file.clone()),
+        }
+    }
+}
+
+impl fmt::Display for Images {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Folder(folder) => write!(f, "images in {}", folder.display()),
+            Self::Files(files) => {
+                let files: Vec<_> = files.iter().map(|elf| elf.file.display().to_string()).collect();
+                write!(f, "images {}", files.join(", "))
+            }
+        }
+    }
+}
+
 /// A run cannot be done.
 #[derive(Error, Debug)]
 pub enum RunError {
+    /// A node has no image.
+    #[error("{node} has no image; name one of this name, or {node}=FILE")]
+    NoImage {
+        /// Which.
+        node: &'static str,
+    },
+    /// An image is of no node.
+    #[error("{}: {cluster} has no node `{node}`; write NODE={}, NODE being one of {names}", file.display(), file.display())]
+    NoNode {
+        /// Whose it would be.
+        node: String,
+        /// The image.
+        file: PathBuf,
+        /// The cluster.
+        cluster: String,
+        /// Its nodes.
+        names: String,
+    },
     /// An image cannot be run.
     #[error(transparent)]
     Image(#[from] LoadError),
@@ -142,13 +202,15 @@ enum Burst {
 impl<W: io::Write> Run<W> {
     fn start(plan: &Plan, log: W) -> Result<Self, RunError> {
         let judged = plan.cluster;
+        plan.images.all_of(judged)?;
         let bit_rate = judged.calendar.segment().bit_rate;
         let faults = FaultModel::seeded(plan.seed).with_inversion(plan.errors);
         let mut cluster = Cluster::new(Bus::new(bit_rate, faults));
         cluster.bus_mut().record_trace(true);
         let mut nodes = Vec::new();
         for (at, node) in judged.nodes.iter().enumerate() {
-            let mut config = NodeConfig::new(node.name, plan.images.join(node.name));
+            let image = plan.images.of(node.name).ok_or(RunError::NoImage { node: node.name })?;
+            let mut config = NodeConfig::new(node.name, image);
             let (start, drift) = difference(at);
             config.start_at = VirtualInstant::from_ticks(0) + start;
             config.clock_error = ClockError::parts_per_million(drift).unwrap_or_default();

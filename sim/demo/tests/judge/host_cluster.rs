@@ -22,7 +22,8 @@ use cosmic_demo::journal::Journal;
 use cosmic_demo::load::BackgroundLog;
 use cosmic_demo::record::{Digest, Queue, Record, RecordKind};
 
-type Content = [u8; 8];
+/// As long as the hard real-time channel allows.
+type Content = [u8; 7];
 type Records = Rc<RefCell<Vec<(TxNode, Record)>>>;
 
 /// A node of the example: publishes on its channels with these periods, takes what it subscribes to.
@@ -68,7 +69,7 @@ impl Application<ClockService> for Node {
             let content = content(*sequence);
             let taken = node.publish(publication, &Event::new(content)).is_ok();
             let digest = Digest::of(&content);
-            let published = RecordKind::Published { len: 8, digest };
+            let published = RecordKind::Published { len: 7, digest };
             let refused = RecordKind::Refused { digest, queue_full: true };
             written.push((*etag, if taken { published } else { refused }));
             *sequence += 1;
@@ -96,7 +97,7 @@ impl Application<ClockService> for Node {
 
 /// The content of the event with this number.
 pub(crate) fn content(number: u32) -> Content {
-    let mut content = [0xA5; 8];
+    let mut content = [0xA5; 7];
     content[..4].copy_from_slice(&number.to_be_bytes());
     content
 }
