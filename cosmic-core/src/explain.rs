@@ -7,6 +7,7 @@
 use core::error::Error;
 use core::fmt;
 
+use crate::admission::{Objection, OtherChannel};
 use crate::broker::Conflict;
 use crate::calendar::CalendarError;
 use crate::can::filter_banks::FilterBanksError;
@@ -19,6 +20,7 @@ use crate::network::fragments::StartError;
 use crate::network::hard::AttachError;
 use crate::network::id_map::NoPlace;
 use crate::network::soft;
+use crate::protocol::{AdmissionRefusal, RefusalReason};
 use crate::services::TooMany;
 use crate::sync::{SyncConfig, SyncConfigError};
 
@@ -127,6 +129,52 @@ impl fmt::Display for SubscribeError {
 
 // The text of `Channel` is that of the error within, so that is not a source beside it.
 impl Error for SubscribeError {}
+
+impl fmt::Display for RefusalReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Utilisation => "all channels together take more than the bus has",
+            Self::Blocking => {
+                "the deadline is too short for what may be before it on the bus, whatever the rate"
+            }
+            Self::Late => "the channel itself might be late",
+            Self::OtherLate => "another channel might be late",
+            Self::LessUrgentLate => "a less urgent frame with a deadline might be late",
+            Self::Full => "as many channels are admitted as there is room for",
+        })
+    }
+}
+
+impl fmt::Display for AdmissionRefusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.reason)?;
+        if let Some(etag) = self.suffers {
+            write!(f, " (etag {})", etag.get())?;
+        }
+        match self.fits_at {
+            Some(interval) => {
+                write!(f, ": an interval of {} us would do", interval.duration().as_micros())
+            }
+            None => f.write_str(": ask for less, or change the plan"),
+        }
+    }
+}
+
+impl Error for AdmissionRefusal {}
+
+impl fmt::Display for Objection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Utilisation => RefusalReason::Utilisation.fmt(f),
+            Self::Blocking => RefusalReason::Blocking.fmt(f),
+            Self::Late => RefusalReason::Late.fmt(f),
+            Self::Suffers(OtherChannel::Planned(subject)) => write!(f, "subject {subject} might be late"),
+            Self::Suffers(OtherChannel::Admitted(etag)) => write!(f, "etag {} might be late", etag.get()),
+            Self::LessUrgent(_) => RefusalReason::LessUrgentLate.fmt(f),
+            Self::Full => RefusalReason::Full.fmt(f),
+        }
+    }
+}
 
 impl fmt::Display for CalendarError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -385,6 +433,17 @@ mod tests {
         for text in [text(PublishError::QueueFull), text(soft::Full), text(TooMany), text(NoRoom)] {
             assert!(text.contains(": "), "no remedy: {text}");
         }
+    }
+
+    #[test]
+    fn refusals_say_what_would_fit() {
+        let suffers = Etag::new(1024);
+        let fits_at = Some(crate::protocol::CoarseSpan::floor(Duration::from_millis(10)));
+        let refusal = AdmissionRefusal { reason: RefusalReason::OtherLate, fits_at, suffers };
+        let expected = "another channel might be late (etag 1024): an interval of 10000 us would do";
+        assert_eq!(text(refusal), expected);
+        let refusal = AdmissionRefusal { reason: RefusalReason::Full, fits_at: None, suffers: None };
+        assert!(text(refusal).ends_with(": ask for less, or change the plan"));
     }
 
     #[test]

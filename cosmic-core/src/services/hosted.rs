@@ -100,7 +100,7 @@ impl<B: Hosted> Hosted for Option<B> {
 #[derive(Clone, Debug)]
 pub struct AdmittingBroker<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize> {
     broker: Broker<NODES, SUBJECTS>,
-    control: AdmissionControl<ADMITTED>,
+    control: Option<AdmissionControl<ADMITTED>>,
 }
 
 impl<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize>
@@ -108,7 +108,12 @@ impl<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize>
 {
     /// Both are off until their node has a TxNode.
     pub const fn new(broker: Broker<NODES, SUBJECTS>, control: AdmissionControl<ADMITTED>) -> Self {
-        Self { broker, control }
+        Self { broker, control: Some(control) }
+    }
+
+    /// One that admits nothing: a program decides at start whether its plan says what there is to be weighed.
+    pub const fn without_control(broker: Broker<NODES, SUBJECTS>) -> Self {
+        Self { broker, control: None }
     }
 
     /// The broker.
@@ -116,9 +121,15 @@ impl<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize>
         &self.broker
     }
 
-    /// Admission control.
-    pub const fn control(&self) -> &AdmissionControl<ADMITTED> {
-        &self.control
+    /// Admission control, if its plan is known.
+    pub const fn control(&self) -> Option<&AdmissionControl<ADMITTED>> {
+        self.control.as_ref()
+    }
+
+    fn tell_role(&mut self, now: Instant) {
+        if let Some(control) = &mut self.control {
+            control.set_role(now, self.broker.role());
+        }
     }
 }
 
@@ -133,23 +144,26 @@ impl<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize> Hosted
 
     fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
         self.broker.set_tx_node(now, tx_node);
-        self.control.set_role(now, self.broker.role());
+        self.tell_role(now);
     }
 
     fn on_frame(&mut self, frame: &Frame, now: Instant) {
         self.broker.on_frame(frame, now);
-        self.control.set_role(now, self.broker.role());
-        self.control.on_frame(frame);
+        self.tell_role(now);
+        if let Some(control) = &mut self.control {
+            control.on_frame(frame);
+        }
     }
 
     fn poll(&mut self, now: Instant) -> Option<Output<BrokerEvent>> {
         let output = self.broker.poll(now);
-        self.control.set_role(now, self.broker.role());
+        self.tell_role(now);
         let subjects = self.broker.subjects();
-        output.or_else(|| self.control.poll(now, |subject| subjects.etag_of(subject)))
+        output.or_else(|| self.control.as_mut()?.poll(now, |subject| subjects.etag_of(subject)))
     }
 
     fn next_wakeup(&self) -> Instant {
-        self.broker.next_wakeup().min(self.control.next_wakeup())
+        let control = self.control.as_ref().map_or(Instant::FAR_FUTURE, AdmissionControl::next_wakeup);
+        self.broker.next_wakeup().min(control)
     }
 }

@@ -4,10 +4,12 @@ use std::fmt;
 use std::future::poll_fn;
 
 use cosmic_core::Subject;
+use cosmic_core::client::AdmissionState;
 use cosmic_core::event_layer::{
     self, Attributes, Channel, Content, Delivered, Event, Filter, Policy, Publication, PublishError,
     SubscribeError, Subscription,
 };
+use cosmic_core::protocol::AdmissionRefusal;
 
 use crate::node::Node;
 
@@ -121,6 +123,25 @@ impl<C: Content> Publisher<C> {
     /// The channel's subject.
     pub const fn subject(&self) -> Subject {
         self.subject
+    }
+
+    /// Where the channel stands, if the plan does not know it and it is asked for; `None` for any other.
+    pub fn admission(&self) -> Option<AdmissionState> {
+        self.node.shared().look(|core| core.half.services().admission_of(self.subject))
+    }
+
+    /// Waits until the channel may be published: it is [bound](Self::bound), and admitted if the plan does not know it.
+    ///
+    /// # Errors
+    /// Why it was refused. It is asked for again later, as long as this exists.
+    pub async fn admitted(&self) -> Result<(), AdmissionRefusal> {
+        self.bound().await;
+        let decided = |_: &Node| match self.admission() {
+            Some(AdmissionState::Waiting) => None,
+            Some(AdmissionState::Refused(refusal)) => Some(Err(refusal)),
+            Some(AdmissionState::Admitted(_)) | None => Some(Ok(())),
+        };
+        self.node.until(decided).await
     }
 
     /// The node.

@@ -65,5 +65,5 @@ pub use application::{AnnounceError, Publisher, Subscriber};
 pub use config::{BrokerTables, Config, StartError, calendar_without_slots, drawn_uid};
 pub use link::{Link, LinkCounters, LinkError, Port};
 pub use node::Node;
-pub use shared::{BROKER_NODES, BROKER_SUBJECTS, Broker};
+pub use shared::{BROKER_ADMITS, BROKER_NODES, BROKER_SUBJECTS, Broker};
 pub use tap::{NotSent, Tap, Tapped, What};

@@ -116,7 +116,7 @@ impl Node {
     pub fn etag_of(&self, subject: Subject) -> Option<Etag> {
         self.shared().look(|core| {
             let services = core.half.services();
-            let of_broker = || services.broker().as_ref()?.subjects().etag_of(subject);
+            let of_broker = || services.broker().as_ref()?.broker().subjects().etag_of(subject);
             services.etag_of(subject).or_else(of_broker)
         })
     }
@@ -133,13 +133,14 @@ impl Node {
 
     /// What the broker that this node hosts does; `None` if it hosts none.
     pub fn broker_role(&self) -> Option<broker::BrokerRole> {
-        self.shared().look(|core| core.half.services().broker().as_ref().map(broker::Broker::role))
+        self.shared()
+            .look(|core| core.half.services().broker().as_ref().map(|hosting| hosting.broker().role()))
     }
 
     /// The table of the broker that this node hosts, to be stored; `None` if it hosts none.
     pub fn broker_tables(&self) -> Option<BrokerTables> {
         self.shared().look(|core| {
-            let broker = core.half.services().broker().as_ref()?;
+            let broker = core.half.services().broker().as_ref()?.broker();
             Some(BrokerTables {
                 nodes: broker.nodes().entries().collect(),
                 subjects: broker.subjects().entries().collect(),

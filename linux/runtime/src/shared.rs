@@ -5,11 +5,12 @@ use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use cosmic_bus::WireFrame;
+use cosmic_core::admission::AdmissionControl;
 use cosmic_core::calendar::Calendar;
 use cosmic_core::can::{Command, ErrorCounters, Etag, Frame, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::event_half::{Due, EventHalf, Input, Step, outcome, receive};
 use cosmic_core::network::hard::HrtBuffers;
-use cosmic_core::services::{News, NodeServices};
+use cosmic_core::services::{AdmittingBroker, News, NodeServices};
 use cosmic_core::time::{Duration, GlobalClock, Instant};
 use cosmic_core::{broker, network};
 use tokio::sync::{Notify, broadcast, watch};
@@ -26,8 +27,13 @@ pub const BROKER_SUBJECTS: usize = 4096;
 /// A broker that a Linux node hosts.
 pub type Broker = broker::Broker<BROKER_NODES, BROKER_SUBJECTS>;
 
+/// Soft real-time channels beside the plan that the node of a hosted broker can admit.
+pub const BROKER_ADMITS: usize = 128;
+
+type Hosting = AdmittingBroker<BROKER_NODES, BROKER_SUBJECTS, BROKER_ADMITS>;
+
 pub(crate) const CHANNELS: usize = 128;
-type Services = NodeServices<CHANNELS, { 2 * CHANNELS }, 126, 1024, Option<Broker>>;
+type Services = NodeServices<CHANNELS, { 2 * CHANNELS }, 126, 1024, Option<Hosting>>;
 /// A Linux node has memory: as much as the core can number. It takes part in no slot, so one buffer does.
 type Half = EventHalf<1, CHANNELS, 254, 255, 128, 128, Services>;
 
@@ -310,7 +316,7 @@ impl Core {
     }
 }
 
-fn restore(config: &Config, tables: &crate::BrokerTables) -> Result<Broker, StartError> {
+fn restore(config: &Config, tables: &crate::BrokerTables) -> Result<Hosting, StartError> {
     let (mut nodes, mut subjects) = (broker::Nodes::new(), broker::Subjects::new());
     for &(uid, tx_node) in &tables.nodes {
         let entered = nodes.restore(uid, tx_node);
@@ -323,7 +329,14 @@ fn restore(config: &Config, tables: &crate::BrokerTables) -> Result<Broker, Star
             StartError::BrokerTable(format!("subject {subject} with etag {}: {why}", etag.get()))
         })?;
     }
-    Ok(Broker::new(config.node.uid, broker::BrokerTiming::DEFAULT, nodes, subjects))
+    let broker = Broker::new(config.node.uid, broker::BrokerTiming::DEFAULT, nodes, subjects);
+    Ok(match config.node.admission {
+        Some(plan) => {
+            let control = AdmissionControl::new(&plan.reservations, config.node.admission_timing);
+            Hosting::new(broker, control)
+        }
+        None => Hosting::without_control(broker),
+    })
 }
 
 /// Local time at the start of a node: later than any span that is taken from it.

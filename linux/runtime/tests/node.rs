@@ -5,8 +5,13 @@ mod common;
 use std::time::Duration as Span;
 
 use common::{Bed, HEAT, TEXT, uid};
-use cosmic_core::can::{Etag, TxNode};
-use cosmic_core::event_layer::{Channel, Event, ExceptionKind, HardAttributes, Policy, PublishError};
+use cosmic_core::admission::{AdmissionPlan, CalendarDemand, Faults, Reservations, Unplanned};
+use cosmic_core::can::{BitRate, Etag, TxNode};
+use cosmic_core::client::AdmissionState;
+use cosmic_core::event_layer::{
+    Channel, Event, EventRate, ExceptionKind, HardAttributes, Policy, PublishError,
+};
+use cosmic_core::protocol::RefusalReason;
 use cosmic_core::services::News;
 use cosmic_core::time::Duration;
 use cosmic_core::{Subject, broker::BrokerRole};
@@ -54,6 +59,49 @@ async fn a_node_without_ids_gets_them_from_a_broker_on_linux() {
     drop((publisher, subscriber, sensor, host));
     let config = Config::new(uid(1)).tx_node(TxNode::new(1).unwrap()).broker(tables.clone());
     assert_eq!(bed.start_node(config).broker_tables().unwrap().subjects, tables.subjects);
+}
+
+/// What the plan of the segment says: nothing is on it, and what it does not know is asked for.
+static ASKED: AdmissionPlan = AdmissionPlan {
+    unplanned: Unplanned::Ask,
+    planned: &[],
+    reservations: Reservations {
+        bit_rate: BitRate::MAX,
+        priority_step: Duration::from_micros(160),
+        reload: Duration::from_micros(10),
+        slow_refill: false,
+        faults: Faults::None,
+        calendar: CalendarDemand::NONE,
+        above: &[],
+        soft: &[],
+        guarded: &[],
+    },
+};
+
+#[tokio::test(start_paused = true)]
+async fn a_channel_that_is_not_planned_is_published_when_it_is_admitted() {
+    let bed = Bed::start().await;
+    let asking = |mut config: Config| {
+        config.node.admission = Some(&ASKED);
+        bed.start_node(config)
+    };
+    let host = Config::new(uid(1)).tx_node(TxNode::new(1).unwrap()).broker(BrokerTables::default());
+    let (host, sensor) = (asking(host), asking(Config::new(uid(0xAFFE))));
+    let channel = |subject, interval| -> Channel<u8> {
+        let rate = EventRate::sporadic(Duration::from_micros(interval));
+        Channel::soft(Subject::new(subject).unwrap(), common::QUALITY).with_rate(rate)
+    };
+    let publisher = sensor.announce(&channel(0x77, 5_000)).unwrap();
+    assert_eq!(publisher.admitted().await, Ok(()));
+    assert!(matches!(publisher.admission(), Some(AdmissionState::Admitted(_))));
+    publisher.publish(5).unwrap();
+    // A frame every 50 us is more than the bus has. The node of the broker asks itself.
+    for node in [&sensor, &host] {
+        let wild = node.announce(&channel(0x78, 50)).unwrap();
+        let refusal = wild.admitted().await.unwrap_err();
+        assert_eq!(refusal.reason, RefusalReason::Utilisation);
+        assert_eq!(wild.publish(5), Err(PublishError::NotAdmitted));
+    }
 }
 
 #[tokio::test(start_paused = true)]

@@ -225,7 +225,13 @@ impl Bed {
             let table = self.cluster.visit(self.station(number), |node| {
                 let broker = node.half().services().broker().as_ref()?;
                 (broker.broker().role() == BrokerRole::Active).then(|| {
-                    broker.control().table().admitted().map(|one| one.ask.tx_node.get()).collect::<Vec<_>>()
+                    broker
+                        .control()
+                        .unwrap()
+                        .table()
+                        .admitted()
+                        .map(|one| one.ask.tx_node.get())
+                        .collect::<Vec<_>>()
                 })
             });
             tables.extend(table.flatten());

@@ -353,6 +353,12 @@ fn tell(context: &mut Context, news: cosmic_core::services::News) -> Result<(), 
         }
         BrokerEvent::NoIdLeft(uid) => ("refused", format!("no TxNode is left for node {uid}")),
         BrokerEvent::NoEtagLeft(subject) => ("refused", format!("no etag is left for subject {subject}")),
+        BrokerEvent::Admitted { tx_node, etag } => {
+            ("admitted", format!("node {tx_node} publishes etag {}, which is not in the plan", etag.get()))
+        }
+        BrokerEvent::NotAdmitted { tx_node, etag, why } => {
+            ("not-admitted", format!("node {tx_node} may not publish etag {}: {why}", etag.get()))
+        }
         BrokerEvent::ForeignBroker => (
             "foreign-broker",
             "another broker answers that does not say who it is: switch one of them off".to_owned(),
