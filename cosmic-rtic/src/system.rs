@@ -1,9 +1,12 @@
 //! What a node is made of, as one type.
 
+use cosmic_core::admission::{AdmissionControl, AdmissionTiming};
 use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
 use cosmic_core::can::TxNode;
 use cosmic_core::plan::NodePlan;
-use cosmic_core::services::{ClockService, Hosted, News, NodeConfig, NodeServices, Services};
+use cosmic_core::services::{
+    AdmittingBroker, ClockService, Hosted, News, NodeConfig, NodeServices, Services,
+};
 use cosmic_core::sync::SyncConfigError;
 use cosmic_core::time::{GlobalClock, Instant};
 use cosmic_core::{Capacity, Half as _, Subject};
@@ -123,6 +126,21 @@ impl PlannedHost for () {
 impl<const NODES: usize, const SUBJECTS: usize> PlannedHost for Broker<NODES, SUBJECTS> {
     fn planned(node: &NodePlan) -> Self {
         Self::new(node.uid, BrokerTiming::DEFAULT, Nodes::new(), Subjects::new())
+    }
+}
+
+/// Without what its plan says of soft real-time channels beside it, the node admits none.
+impl<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize> PlannedHost
+    for AdmittingBroker<NODES, SUBJECTS, ADMITTED>
+{
+    fn planned(node: &NodePlan) -> Self {
+        let broker = Broker::planned(node);
+        match node.admission {
+            Some(plan) => {
+                Self::new(broker, AdmissionControl::new(&plan.reservations, AdmissionTiming::DEFAULT))
+            }
+            None => Self::without_control(broker),
+        }
     }
 }
 
