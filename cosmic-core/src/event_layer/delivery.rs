@@ -4,7 +4,7 @@ use super::channel::{Policy, Subscriber};
 use super::content::Content;
 use super::filter::Context;
 use super::pool::{Pool, PoolFull, Waiting};
-use crate::can::{Frame, Priority, TxNode};
+use crate::can::{Frame, Id, TxNode};
 use crate::network::soft::PriorityMap;
 use crate::time::Instant;
 use crate::uid::Subject;
@@ -19,8 +19,8 @@ pub struct Delivered<C> {
     pub context: Context,
     /// Who published it.
     pub publisher: TxNode,
-    /// With what priority its frame was sent. That of a soft real-time event says what was left then to its deadline.
-    pub priority: Priority,
+    /// The identifier of its frame. The priority of a soft real-time event says what was left then to its deadline.
+    pub id: Id,
     /// When its frame arrived; for a local publication, when it was published; for a hard real-time
     /// event, when it became visible.
     pub received_at: Instant,
@@ -82,6 +82,7 @@ pub(super) fn decode<C: Content>(event: &Waiting, with_context: bool) -> Option<
     } else {
         (Context::EMPTY, C::decode(event.as_slice())?)
     };
-    let (publisher, priority) = (event.id.tx_node(), event.id.priority());
-    Some(Delivered { content, context, publisher, priority, received_at: event.received_at })
+    // The identifier whole: to take the priority out costs an instruction more, whether anybody wants it or not.
+    let (publisher, id) = (event.id.tx_node(), event.id);
+    Some(Delivered { content, context, publisher, id, received_at: event.received_at })
 }

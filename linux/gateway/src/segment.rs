@@ -168,7 +168,7 @@ impl Segment {
             return Err(Outcome::StandingBy);
         }
         let waited = now.saturating_since(event.received_at);
-        let left = Left::of_frame(channel, event.priority, self.step);
+        let left = Left::of_frame(channel, event.id.priority(), self.step);
         let left = left.after(waited).ok_or(Outcome::Expired)?;
         Ok((event.publisher, left))
     }

@@ -173,8 +173,8 @@ fn forward<C: Content + Send + 'static>(
             let mut bytes = [0; Payload::MAX_LEN];
             event.content.encode(bytes.get_mut(..C::LEN).unwrap_or_default());
             let content = Payload::truncated(bytes, event.content.encoded_len());
-            let Delivered { context, publisher, priority, received_at, .. } = event;
-            if sender.send(Delivered { content, context, publisher, priority, received_at }).await.is_err() {
+            let Delivered { context, publisher, id, received_at, .. } = event;
+            if sender.send(Delivered { content, context, publisher, id, received_at }).await.is_err() {
                 return;
             }
         }

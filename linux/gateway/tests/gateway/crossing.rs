@@ -190,7 +190,7 @@ async fn the_deadline_on_the_far_bus_is_what_is_left_of_it() {
         publisher.publish(number).unwrap();
         let event = tokio::time::timeout(crate::bed::PATIENCE, subscriber.next()).await.unwrap();
         assert_eq!(event.content, number);
-        most = most.max(event.priority.get());
+        most = most.max(event.id.priority().get());
     }
     // Fresh events: some of the way has been charged, and not more than there was.
     assert!((1..=188).contains(&most), "{most}");
@@ -200,5 +200,5 @@ async fn the_deadline_on_the_far_bus_is_what_is_left_of_it() {
     publisher.publish_event(&late).unwrap();
     let event = tokio::time::timeout(crate::bed::PATIENCE, subscriber.next()).await.unwrap();
     assert_eq!(event.content, 7);
-    assert!(event.priority.get() <= 14, "{:?}", event.priority);
+    assert!(event.id.priority().get() <= 14, "{:?}", event.id);
 }
