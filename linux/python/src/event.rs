@@ -5,7 +5,7 @@ use cosmic_core::can::Payload;
 use cosmic_core::event_layer::Delivered;
 use cosmic_monitor::SegmentPlan;
 use cosmic_plan::contents::Field;
-use cosmic_session::Session;
+use cosmic_session::{Session, Subscription};
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
@@ -42,6 +42,7 @@ impl Event {
     pub(crate) fn new(
         py: Python<'_>,
         session: &Session,
+        subscription: &Subscription,
         subject: Subject,
         event: &Delivered<Payload>,
     ) -> PyResult<Self> {
@@ -70,13 +71,12 @@ impl Event {
             }
             _ => text += &event.content.to_string(),
         }
-        let age = session.node().now().saturating_since(event.received_at).as_ticks();
         Ok(Self {
             channel,
             subject: subject.get(),
             publisher: event.publisher.get(),
             node,
-            received_ns: monotonic_ns().saturating_sub(age),
+            received_ns: subscription.received_ns(event),
             malformed,
             data: event.content,
             fields: fields.unbind(),
@@ -139,10 +139,4 @@ fn word(field: &Field<'_>) -> String {
 /// What a channel without a name is called.
 pub(crate) fn name_of(subject: Subject) -> String {
     format!("{:#X}", subject.get())
-}
-
-fn monotonic_ns() -> u64 {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-    let seconds = u64::try_from(now.tv_sec).unwrap_or(0);
-    seconds.saturating_mul(1_000_000_000).saturating_add(u64::try_from(now.tv_nsec).unwrap_or(0))
 }

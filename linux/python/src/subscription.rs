@@ -31,7 +31,7 @@ impl Subscription {
             let left = until.map_or(TURN, |until| until.saturating_duration_since(Instant::now()));
             let event = py.detach(|| self.subscription.next(Some(left.min(TURN))));
             if let Some(event) = event.map_err(|closed| raised(&Failure::from(closed)))? {
-                return Event::new(py, &self.session, self.subject, &event).map(Some);
+                return Event::new(py, &self.session, &self.subscription, self.subject, &event).map(Some);
             }
             // So that Ctrl-C works.
             py.check_signals()?;

@@ -115,6 +115,14 @@ impl Subscription {
         self.signal.wake_by_ref();
     }
 
+    /// When an event of this subscription arrived, in nanoseconds of `CLOCK_MONOTONIC`, which other languages read, too.
+    pub fn received_ns(&self, event: &Delivered<Payload>) -> u64 {
+        let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+        let part = |part| u64::try_from(part).unwrap_or(0);
+        let now_ns = part(now.tv_sec).saturating_mul(1_000_000_000).saturating_add(part(now.tv_nsec));
+        now_ns.saturating_sub(self.node().now().saturating_since(event.received_at).as_ticks())
+    }
+
     /// The node.
     pub fn node(&self) -> &Node {
         self.subscriber.node()

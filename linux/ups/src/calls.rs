@@ -224,21 +224,12 @@ fn received(subscribed: &Subscribed, event: &Delivered<Payload>) -> MsgObj {
     let mut data = [0; DATA_MAX];
     let bytes = event.content.as_slice();
     data.iter_mut().zip(bytes).for_each(|(place, byte)| *place = *byte);
-    let node = subscribed.subscription.node();
-    let age = node.now().saturating_since(event.received_at).as_ticks();
     MsgObj {
         subject: subscribed.subject,
-        received_at_ns: monotonic_ns().saturating_sub(age),
+        received_at_ns: subscribed.subscription.received_ns(event),
         publisher: event.publisher.get(),
         length: event.content.len() as u8,
         data,
         ..MsgObj::default()
     }
-}
-
-/// The clock that the node's instants go by, as C reads it.
-fn monotonic_ns() -> u64 {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-    let seconds = u64::try_from(now.tv_sec).unwrap_or(0);
-    seconds.saturating_mul(1_000_000_000).saturating_add(u64::try_from(now.tv_nsec).unwrap_or(0))
 }
