@@ -22,6 +22,7 @@ mod plan;
 mod program;
 mod python;
 mod qemu;
+mod relink;
 mod run;
 mod setup;
 mod size;

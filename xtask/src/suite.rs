@@ -229,28 +229,6 @@ fn judged(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally
     Ok(Tally::one(code == 0))
 }
 
-/// A description that was written again, but is the same, is no reason to build; one that has changed is, though it is
-/// as old as before.
-pub(crate) fn written_again(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally> {
-    let cluster = plan::find(folder.join(plan::OF_A_REPOSITORY))?;
-    let old = fs::metadata(&cluster)?.modified()?;
-    let text = fs::read_to_string(&cluster).with_context(|| format!("reading {}", cluster.display()))?;
-    let build = || apps::build(way, folder, &cluster, Some(workspace.target_dir()));
-    fs::write(&cluster, &text).with_context(|| format!("writing {}", cluster.display()))?;
-    let compiled = build()?.compiled;
-    if compiled > 0 {
-        eprintln!("error: {compiled} images were built again for a description that has not changed");
-    }
-    fs::write(&cluster, text.replacen("\nperiod = ", "\nperoid = ", 1))
-        .with_context(|| format!("writing {}", cluster.display()))?;
-    fs::File::options().write(true).open(&cluster)?.set_modified(old)?;
-    let is_seen = build().is_err();
-    if !is_seen {
-        eprintln!("error: a description that has changed was not planned again");
-    }
-    Ok(Tally::one(compiled == 0 && is_seen))
-}
-
 /// The lines of log in a document are what the robot says, but for the instants: these follow from the instructions
 /// of the images.
 fn says(program: &mut process::Command, document: &str) -> Result<Tally> {

@@ -11,9 +11,9 @@ use anyhow::{Context as _, Result, bail, ensure};
 use crate::demo;
 use crate::images::PROFILE;
 use crate::plan;
+use crate::relink;
 use crate::run::step;
 use crate::setup;
-use crate::suite;
 use crate::tally::Tally;
 use crate::target::{TRIPLE, TargetWay};
 use crate::tools;
@@ -28,7 +28,7 @@ pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
     let mut tally = step("walking from one file to every tool", || walk.go());
     if let Ok(tally) = &mut tally {
         tally.add(elf_files(workspace, &way, &rover));
-        tally.add(suite::written_again(workspace, &way, &rover));
+        tally.add(relink::written_again(workspace, &way, &rover));
     }
     // What a test leaves behind is no failure.
     let _ = fs::remove_dir_all(&rover);

@@ -1,10 +1,10 @@
 //! The page: one file for the browser, of several here.
 
-use crate::guard;
+use crate::secret;
 
 /// The page, and the policy that lets exactly its own script and style run.
 pub(crate) fn page() -> (String, String) {
-    let nonce = guard::unpredictable();
+    let nonce = secret::unpredictable();
     let script = format!("\"use strict\";\n{}", SCRIPTS.concat());
     let page = FRAME.replace("@NONCE@", &nonce).replace("@STYLE@", STYLE).replace("@SCRIPT@", &script);
     let policy = format!(

@@ -1,7 +1,5 @@
 //! Who may ask, and what the page may do in a browser.
 
-use std::fs::File;
-use std::io::Read as _;
 use std::net::IpAddr;
 
 use axum::extract::{Request, State};
@@ -46,17 +44,6 @@ fn is_ours(host: &str, names: &[String]) -> bool {
         || names.iter().any(|known| known.eq_ignore_ascii_case(name))
 }
 
-/// 128 bits that nobody can guess, as hexadecimal digits.
-///
-/// # Panics
-/// The system gives no random bytes: then nothing here would be safe.
-pub(crate) fn unpredictable() -> String {
-    let mut bytes = [0_u8; 16];
-    let read = File::open("/dev/urandom").and_then(|mut source| source.read_exact(&mut bytes));
-    assert!(read.is_ok(), "the system gives no random bytes at /dev/urandom");
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -72,10 +59,5 @@ mod tests {
         for host in ["evil.example", "localhost.evil.example:8117", "", "127.0.0.1.evil.example", "[::1"] {
             assert!(!is_ours(host, &names) || host == "[::1", "{host}");
         }
-    }
-
-    #[test]
-    fn nothing_is_drawn_twice() {
-        assert_ne!(unpredictable(), unpredictable());
     }
 }

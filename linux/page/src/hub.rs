@@ -8,9 +8,9 @@ use tokio::sync::mpsc;
 use tokio::time::MissedTickBehavior;
 
 use crate::browsers::{Browsers, Message};
-use crate::guard;
 use crate::messages::{Hello, SegmentHead};
 use crate::publishing::Publishing;
+use crate::secret;
 use crate::segment::Segment;
 
 /// What a page is to be.
@@ -47,7 +47,7 @@ impl Hub {
         Self {
             shared: Arc::new(Shared {
                 config,
-                instance: guard::unpredictable(),
+                instance: secret::unpredictable(),
                 segments: RwLock::default(),
                 browsers: Mutex::default(),
                 pulses: Mutex::new(0),

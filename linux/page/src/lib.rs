@@ -52,6 +52,7 @@ mod hub;
 mod messages;
 mod publishing;
 mod routes;
+mod secret;
 mod segment;
 
 pub use browsers::{MOST_BROWSERS, QUEUE};

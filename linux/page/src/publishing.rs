@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::guard;
+use crate::secret;
 
 /// What whoever publishes must have: 128 random bits.
 #[derive(Clone, PartialEq, Eq)]
@@ -19,7 +19,7 @@ impl Token {
     /// # Panics
     /// The system gives no random bytes.
     pub fn draw() -> Self {
-        Self(guard::unpredictable())
+        Self(secret::unpredictable())
     }
 
     /// Its digits, to show them to who started the server.
