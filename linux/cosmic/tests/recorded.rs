@@ -5,6 +5,10 @@ mod common;
 use std::io::{BufRead as _, BufReader};
 use std::process::Stdio;
 
+use cosmic_core::Subject;
+use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
+use cosmic_core::protocol::{Answer, SupplyEtag};
+
 use common::{CLUSTER, cosmic, json, printed, run, text};
 
 const ROVER: &str = "log:docs/tasks/rover.log";
@@ -75,6 +79,27 @@ fn every_frame_of_a_log_is_decoded() {
     let frames = std::fs::read_to_string(common::root().join("docs/tasks/late.log")).unwrap().lines().count();
     assert_eq!(lines.lines().count(), frames);
     assert!(!lines.contains("malformed") && !lines.contains("no message"), "{lines}");
+}
+
+/// Where a broker gives the etags, events come before the binding that a log has of them.
+#[test]
+fn events_before_their_binding_are_decoded_too() {
+    let (node, etag) = (TxNode::new(4).unwrap(), Etag::BOUND_FIRST);
+    let attitude = Payload::new(&[156, 0, 78, 0, 74, 31, 0x19]).unwrap();
+    let event = Frame::new(Id::new(Priority::new(20), node, etag), attitude);
+    let subject = Subject::new(0xB0A0_1C00_0000_0004).unwrap();
+    let binding = SupplyEtag::pair(TxNode::BROKER, node, subject, Answer::Bound(etag)).map(|it| it.encode());
+    let log: String = [event, binding[0], binding[1], event]
+        .iter()
+        .enumerate()
+        .map(|(at, frame)| format!("(1.00{at}) can0 {:08X}#{}\n", frame.id.raw(), frame.payload))
+        .collect();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("brokered.log");
+    std::fs::write(&file, log).unwrap();
+    let lines = printed(&["decode", &file.display().to_string(), "-c", CLUSTER]);
+    let events: Vec<_> = lines.lines().filter(|line| line.contains("attitude roll=1.56 °")).collect();
+    assert_eq!(events.len(), 2, "{lines}");
 }
 
 #[test]

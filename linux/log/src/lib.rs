@@ -4,7 +4,7 @@
 //! takes bounded memory, whatever the file holds.
 
 mod candump;
-pub use candump::bytes_of;
+pub use cosmic_linux::candump::bytes_of;
 mod pcapng;
 
 use std::fmt;
@@ -14,7 +14,6 @@ use std::path::Path;
 use std::time::Duration;
 
 use cosmic_bus::WireFrame;
-use cosmic_core::can::Frame;
 use cosmic_linux::What;
 
 /// Something that was recorded.
@@ -159,9 +158,4 @@ fn written(error: io::Error) -> LogError {
         }
         _ => LogError::new(format!("the log cannot be written: {error}; make room, or choose another place")),
     }
-}
-
-/// What a frame of any kind is to a listener.
-pub fn heard(frame: WireFrame) -> What {
-    Frame::try_from(frame).map_or(What::Foreign(Some(frame)), What::Frame)
 }

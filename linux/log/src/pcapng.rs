@@ -14,7 +14,7 @@ use pcap_parser::pcapng::{
 use pcap_parser::traits::PcapReaderIterator as _;
 use pcap_parser::{Block, Linktype, PcapBlockOwned, PcapError, PcapNGReader, ToVec as _};
 
-use super::{Entry, LogError, heard};
+use super::{Entry, LogError};
 
 /// How every pcapng file begins.
 pub(super) const MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
@@ -134,9 +134,9 @@ fn parse(packet: &[u8]) -> Option<What> {
         Id::Standard(StandardId::new(u16::try_from(raw & EXTENDED_MASK).ok()?)?)
     };
     if raw & REMOTE != 0 {
-        return WireFrame::new_remote(id, length.into()).map(heard);
+        return WireFrame::new_remote(id, length.into()).map(What::from);
     }
-    WireFrame::new(id, data.get(..length.into())?).map(heard)
+    WireFrame::new(id, data.get(..length.into())?).map(What::from)
 }
 
 pub(crate) struct Writer<W> {
@@ -242,7 +242,7 @@ mod tests {
             for _ in 0..count {
                 writer.write(Duration::from_nanos(ns), &frame).unwrap();
             }
-            let expected = Entry { stamp: Duration::from_nanos(ns), what: heard(frame) };
+            let expected = Entry { stamp: Duration::from_nanos(ns), what: What::from(frame) };
             prop_assert_eq!(read(writer.out), vec![expected; count]);
         }
 

@@ -221,6 +221,16 @@ impl Monitor {
         }
     }
 
+    /// Which subject has which etag, as far as a binding was heard.
+    pub fn bindings(&self) -> impl Iterator<Item = (Subject, Etag)> + '_ {
+        self.channels.iter().filter_map(|(etag, channel)| Some((channel.subject?, etag)))
+    }
+
+    /// Takes a binding as heard: another listener has heard it, or this one at another time.
+    pub fn learn(&mut self, subject: Subject, etag: Etag) {
+        self.channels.bind(subject, etag, self.now);
+    }
+
     /// The fields of an event of a planned channel, or why it is none.
     pub(crate) fn content(
         &self,

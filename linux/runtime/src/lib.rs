@@ -53,6 +53,7 @@
 
 mod application;
 mod bytes;
+pub mod candump;
 mod config;
 mod descriptor;
 pub mod link;

@@ -79,6 +79,13 @@ pub enum What {
     BusOff,
 }
 
+/// What a frame of any kind is to a listener.
+impl From<WireFrame> for What {
+    fn from(frame: WireFrame) -> Self {
+        Frame::try_from(frame).map_or(Self::Foreign(Some(frame)), Self::Frame)
+    }
+}
+
 /// A frame could not be sent: the connection was lost, or there was none.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct NotSent;

@@ -5,9 +5,12 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use cosmic_bus::WireFrame;
-use cosmic_linux::What;
+use cosmic_core::can::Frame;
+use cosmic_core::time::{self, Instant};
 use cosmic_linux::link::LinkAddress;
-use cosmic_log::Writer;
+use cosmic_linux::{Tapped, What};
+use cosmic_log::{Reader, Writer};
+use cosmic_monitor::Monitor;
 
 use super::{echo, warn};
 use crate::arguments::{Record, Replay};
@@ -96,25 +99,42 @@ pub(super) async fn replay(context: &mut Context, options: &Replay) -> Result<Ex
 
 /// `cosmic decode`
 pub(super) fn decode(context: &mut Context, file: &Path) -> Result<ExitCode, Failure> {
-    let reader = cosmic_log::Reader::open(file)?;
-    let mut monitor = None;
-    let mut began = None;
-    let mut frames = 0_u64;
-    for entry in reader {
-        let entry = entry?;
-        let since = entry.stamp.saturating_sub(*began.get_or_insert(entry.stamp));
-        let ticks = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX / 2);
-        let at = cosmic_core::time::Instant::from_epoch(cosmic_core::time::Duration::from_ticks(ticks));
-        let monitor = monitor.get_or_insert_with(|| context.monitor(at));
-        let tapped = cosmic_linux::Tapped { at, what: entry.what };
-        feed(monitor, &tapped);
-        if let What::Frame(frame) = tapped.what {
-            echo::print(context, at, &monitor.decode(&frame))?;
-            frames += 1;
-        }
+    let mut monitor = context.monitor(Instant::EPOCH);
+    // Events may come before the binding that says what they are: a log is read for bindings first. Standard input
+    // passes once.
+    if file.as_os_str() != "-" {
+        let mut first = context.monitor(Instant::EPOCH);
+        // What is wrong with it, the second reading says.
+        let _ = listen(&mut first, file, |_, _, _| Ok(()));
+        first.bindings().for_each(|(subject, etag)| monitor.learn(subject, etag));
     }
+    let mut frames = 0_u64;
+    listen(&mut monitor, file, |monitor, at, frame| {
+        frames += 1;
+        echo::print(context, at, &monitor.decode(&frame))
+    })?;
     if frames == 0 && !context.output.json() {
         eprintln!("cosmic: there is no frame of COSMIC's in {}", file.display());
     }
     Ok(if frames > 0 { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
+}
+
+/// Has the monitor hear a whole log, and hands over each frame behind it.
+fn listen(
+    monitor: &mut Monitor,
+    file: &Path,
+    mut each: impl FnMut(&Monitor, Instant, Frame) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let mut began = None;
+    for entry in Reader::open(file)? {
+        let entry = entry?;
+        let since = entry.stamp.saturating_sub(*began.get_or_insert(entry.stamp));
+        let ticks = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX / 2);
+        let tapped = Tapped { at: Instant::from_epoch(time::Duration::from_ticks(ticks)), what: entry.what };
+        feed(monitor, &tapped);
+        if let What::Frame(frame) = tapped.what {
+            each(monitor, tapped.at, frame)?;
+        }
+    }
+    Ok(())
 }
