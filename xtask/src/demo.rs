@@ -6,6 +6,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Context as _, Result};
 use clap::Args;
 use cosmic_commands::demo::Options;
+use cosmic_commands::wan;
 
 use crate::apps;
 use crate::images;
@@ -18,14 +19,43 @@ use crate::workspace::Workspace;
 #[derive(Args)]
 #[command(disable_help_flag = true)]
 pub(crate) struct Arguments {
-    /// `cargo xtask demo --help` lists them.
+    /// `cargo xtask demo --help` and `cargo xtask demo --wan --help` list them.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
     pub(crate) all: Vec<String>,
 }
 
 /// Runs it. Its exit code is ours.
 pub(crate) fn task(workspace: &Workspace, arguments: &Arguments) -> Result<ExitCode> {
-    run(workspace, &arguments.all).map(ExitCode::from)
+    let (of_wan, others): (Vec<_>, Vec<_>) = arguments.all.iter().cloned().partition(|it| it == "--wan");
+    let code = if of_wan.is_empty() { run(workspace, &others) } else { run_wan(workspace, &others) };
+    code.map(ExitCode::from)
+}
+
+/// The demo of the gateway. As the tests of the gateway it is built without release, so that zenoh is built once.
+pub(crate) fn run_wan(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
+    let options = match wan::Options::read(arguments) {
+        Ok(options) => options,
+        Err(refusal) => {
+            refusal.print().context("writing to the terminal")?;
+            return Ok(u8::try_from(refusal.exit_code()).unwrap_or(1));
+        }
+    };
+    let cluster = plan::find(options.cluster.unwrap_or_else(|| plan::example(workspace)))?;
+    let images = match options.images {
+        Some(images) => images,
+        None => images::kept(workspace, &setup::prepare(&[])?, &cluster, &[])?.0,
+    };
+    for package in ["cosmic-serve", "cosmic-wan-demo"] {
+        let mut program = workspace.cargo();
+        program.args(["build", "--package", package, "--bins"]);
+        step(&format!("building {package}"), || run::run(&mut program))?;
+    }
+    let program = |name: &str| workspace.target_dir().join("debug").join(format!("{name}{EXE_SUFFIX}"));
+    let mut demo = Command::new(program("wan-demo"));
+    demo.arg("--cluster").arg(cluster).arg("--images").arg(images);
+    demo.arg("--server").arg(program("serve-emulated")).args(of_the_demo(arguments));
+    let status = run::status(&mut demo)?;
+    Ok(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
 }
 
 /// Runs ELF files that a user names. Their exit code is that of the demo.
@@ -126,5 +156,6 @@ mod tests {
             assert_eq!(run(&workspace, &arguments.map(str::to_owned)).unwrap(), 2);
         }
         assert_eq!(run(&workspace, &["--help".to_owned()]).unwrap(), 0);
+        assert_eq!(run_wan(&workspace, &["--cut".to_owned(), "0".to_owned()]).unwrap(), 2);
     }
 }

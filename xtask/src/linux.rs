@@ -21,7 +21,9 @@ const PACKAGES: &[&str] = &[
     "--package=cosmic-page",
     "--package=cosmic-session",
     "--package=cosmic-ups",
+    "--package=cosmic-serve",
     "--package=cosmic-wan",
+    "--package=cosmic-wan-demo",
 ];
 
 /// Runs their tests, those with python-can and a C compiler included, and those in a browser if there is

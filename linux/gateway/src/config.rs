@@ -131,6 +131,8 @@ pub struct ChannelConfig {
     pub from: Reach,
     /// The segments that it may enter.
     pub to: Reach,
+    /// Segments that it enters whether anybody there says that it subscribes or not.
+    pub unasked: Vec<Name>,
 }
 
 /// The channel on which the gateways of a segment tell each other that they are there.

@@ -383,7 +383,7 @@ impl Hub {
     /// An event of a segment. Never waits.
     fn on_event(&self, segment: usize, channel: usize, event: &Delivered<Payload>) {
         let (of, config) = (&self.segments[segment], &self.channels[channel]);
-        let (node, left) = match of.take(config, event) {
+        let (node, left) = match of.take(channel, config, event) {
             Ok(taken) => taken,
             Err(outcome) => {
                 of.outgoing.count(outcome);

@@ -9,7 +9,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use cosmic_core::can::{Payload, TxNode};
 use cosmic_core::event_layer::{
-    Channel, Delivered, Depth, Event, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
+    Attributes, Channel, Delivered, Depth, Event, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
 };
 use cosmic_core::protocol::{Class, LayoutHash, Side};
 use cosmic_core::time::Duration;
@@ -55,6 +55,10 @@ pub(crate) struct Port {
     publisher: Option<Publisher<Payload>>,
     /// Somebody on the segment subscribes to it, who is no gateway.
     wanted: AtomicBool,
+    /// It enters whether anybody says so or not.
+    unasked: bool,
+    /// From publication to the deadline, as publishers on the segment have it.
+    deadline: Option<Duration>,
 }
 
 /// An event for a segment.
@@ -95,7 +99,9 @@ impl Segment {
             let enters = channel.to.has(&config.name);
             let announced = enters.then(|| node.announce(&declared)).transpose();
             let publisher = announced.map_err(|error| refused(error.to_string()))?;
-            Ok(Port { channel: declared, publisher, wanted: AtomicBool::new(false) })
+            let unasked = channel.unasked.contains(&config.name);
+            let deadline = planned_deadline(channel, config).or(channel.deadline);
+            Ok(Port { channel: declared, publisher, wanted: AtomicBool::new(false), unasked, deadline })
         });
         Ok(Self {
             name: config.name.clone(),
@@ -128,7 +134,8 @@ impl Segment {
     /// Somebody here wants events of the channel, they may enter, and it is we who forward them.
     pub(crate) fn wants(&self, channel: usize) -> bool {
         let port = &self.channels[channel];
-        port.publisher.is_some() && port.wanted.load(Ordering::Relaxed) && self.leads()
+        let wanted = port.unasked || port.wanted.load(Ordering::Relaxed);
+        port.publisher.is_some() && wanted && self.leads()
     }
 
     /// Subscribes to a channel.
@@ -155,9 +162,11 @@ impl Segment {
     /// An event of the segment that is to leave it: what is left of its time, or why it does not leave.
     pub(crate) fn take(
         &self,
+        at: usize,
         channel: &ChannelConfig,
         event: &Delivered<Payload>,
     ) -> Result<(TxNode, Left), Outcome> {
+        let at_origin = self.channels[at].deadline;
         let now = self.node.now();
         let leadership = self.leadership();
         if Some(event.publisher) == self.node.tx_node() || leadership.is_gateway(event.publisher) {
@@ -168,7 +177,7 @@ impl Segment {
             return Err(Outcome::StandingBy);
         }
         let waited = now.saturating_since(event.received_at);
-        let left = Left::of_frame(channel, event.id.priority(), self.step);
+        let left = Left::of_frame(channel, at_origin, event.id.priority(), self.step);
         let left = left.after(waited).ok_or(Outcome::Expired)?;
         Ok((event.publisher, left))
     }
@@ -193,8 +202,10 @@ impl Segment {
         let left = event.left.at_most(channel);
         let mut published = Event::new(content);
         let is_late = left.to_deadline.is_some_and(|left| left.is_zero());
-        if let Some(left) = left.to_deadline.filter(|_| channel.class != Class::NonRealTime) {
-            published = published.deadline(now + left.max(Duration::from_ticks(1)));
+        if let Some(to_deadline) = left.to_deadline.filter(|_| channel.class != Class::NonRealTime) {
+            // One that is late goes as urgently as can be; a deadline that has passed would be refused.
+            let soon = left.to_expiry.map_or(AT_ONCE, |left| AT_ONCE.min(left));
+            published = published.deadline(now + to_deadline.max(soon));
         }
         if let Some(left) = left.to_expiry {
             published = published.expires_at(now + left.max(Duration::from_ticks(1)));
@@ -250,5 +261,16 @@ fn declare(channel: &ChannelConfig, segment: &SegmentConfig) -> Result<Channel<P
     })
 }
 
+/// The deadline that the plan of the segment gives a soft real-time channel.
+fn planned_deadline(channel: &ChannelConfig, segment: &SegmentConfig) -> Option<Duration> {
+    let plan = segment.plan.as_ref()?;
+    match plan.declare(plan.channel_of_subject(channel.subject)?)?.attributes() {
+        Attributes::Soft(soft) => Some(soft.deadline),
+        Attributes::Hard(_) | Attributes::NonRealTime(_) => None,
+    }
+}
+
+/// So soon a late event is to be sent.
+const AT_ONCE: Duration = Duration::from_millis(2);
 /// Events that wait to leave, of each channel.
 const WAITING: Depth = Depth::new(128).unwrap();

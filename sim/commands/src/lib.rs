@@ -6,3 +6,4 @@ pub mod demo;
 pub mod experiment;
 pub mod number;
 pub mod output;
+pub mod wan;

@@ -118,6 +118,8 @@ struct ChannelTable {
     longest_wait: Option<Text>,
     from: Option<Vec<Text>>,
     to: Option<Vec<Text>>,
+    #[serde(default)]
+    unasked: Vec<Text>,
 }
 
 pub(super) fn read(file: &Path) -> Result<Config, Problems> {
@@ -475,6 +477,10 @@ impl Reader<'_> {
         };
         let (from, to) =
             (self.reach(table.from.as_ref(), "from", class), self.reach(table.to.as_ref(), "to", class));
+        let unasked: Vec<_> = table.unasked.iter().filter_map(|at| self.name(at, "unasked")).collect();
+        for (at, _) in table.unasked.iter().zip(&unasked).filter(|(_, name)| !to.has(name)) {
+            self.wrong(at, "unasked", "the channel may not enter this segment: name it in `to`, too");
+        }
         if class == Class::Hard && table.from.is_none() {
             self.wrong(
                 &table.class,
@@ -493,6 +499,7 @@ impl Reader<'_> {
             longest_wait,
             from,
             to,
+            unasked,
         })
     }
 

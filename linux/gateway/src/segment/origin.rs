@@ -23,19 +23,26 @@ pub(crate) struct Left {
 }
 
 impl Left {
-    /// When its frame was sent with this priority on a segment with this Δt_p.
-    pub(crate) fn of_frame(channel: &ChannelConfig, priority: Priority, step: Duration) -> Self {
+    /// When its frame was sent with this priority on a segment with this Δt_p, where events of the channel have that
+    /// deadline.
+    pub(crate) fn of_frame(
+        channel: &ChannelConfig,
+        at_origin: Option<Duration>,
+        priority: Priority,
+        step: Duration,
+    ) -> Self {
         let whole = Self { to_deadline: channel.deadline, to_expiry: channel.validity };
         let longest_wait = channel.longest_wait;
-        match (channel.class, channel.deadline) {
+        match (channel.class, at_origin) {
             (Class::Soft, Some(deadline)) => {
                 let steps = u64::from(priority.get().saturating_sub(1));
                 let shown = Duration::from_ticks(steps.saturating_mul(step.as_ticks()));
                 let age = Duration::from_ticks(deadline.as_ticks().saturating_sub(shown.as_ticks()));
                 let age = longest_wait.map_or(age, |longest| age.min(longest));
                 let left = whole.after_any(age);
-                // An event may have had a deadline of its own, and then had less left than its age says.
-                let is_exact = priority < Priority::SOFT_LEAST_URGENT;
+                // An event may have had a deadline of its own, and then had less left than its age says. It shows where
+                // the channel has one deadline everywhere.
+                let is_exact = priority < Priority::SOFT_LEAST_URGENT && channel.deadline == at_origin;
                 let to_deadline = left.to_deadline.map(|left| if is_exact { left.min(shown) } else { left });
                 Self { to_deadline, ..left }
             }
@@ -92,13 +99,14 @@ mod tests {
             longest_wait: None,
             from: Reach::All,
             to: Reach::All,
+            unasked: Vec::new(),
         }
     }
 
     #[test]
     fn the_priority_says_what_is_left() {
         let soft = channel(Class::Soft, Some(ms(16)), Some(ms(20)));
-        let left = |priority| Left::of_frame(&soft, Priority::new(priority), STEP);
+        let left = |priority| Left::of_frame(&soft, soft.deadline, Priority::new(priority), STEP);
         // A priority of 101 has at least 100 steps left.
         assert_eq!(left(101), Left { to_deadline: Some(ms(16)), to_expiry: Some(ms(20)) });
         assert_eq!(left(51), Left { to_deadline: Some(ms(8)), to_expiry: Some(ms(12)) });
@@ -110,11 +118,11 @@ mod tests {
     #[test]
     fn the_least_urgent_priority_says_less() {
         let soft = channel(Class::Soft, Some(ms(500)), Some(ms(1000)));
-        let left = Left::of_frame(&soft, Priority::SOFT_LEAST_URGENT, STEP);
+        let left = Left::of_frame(&soft, soft.deadline, Priority::SOFT_LEAST_URGENT, STEP);
         let shown = Duration::from_micros(248 * 160);
         assert_eq!(left, Left { to_deadline: Some(shown), to_expiry: Some(ms(500) + shown) });
         let soft = ChannelConfig { longest_wait: Some(ms(2)), ..soft };
-        let left = Left::of_frame(&soft, Priority::SOFT_LEAST_URGENT, STEP);
+        let left = Left::of_frame(&soft, soft.deadline, Priority::SOFT_LEAST_URGENT, STEP);
         assert_eq!(left, Left { to_deadline: Some(ms(498)), to_expiry: Some(ms(998)) });
     }
 
@@ -122,16 +130,24 @@ mod tests {
     fn an_event_with_a_deadline_of_its_own_has_what_its_priority_says() {
         let soft = channel(Class::Soft, Some(ms(16)), Some(ms(20)));
         let soft = ChannelConfig { longest_wait: Some(ms(1)), ..soft };
-        let left = Left::of_frame(&soft, Priority::new(11), STEP);
+        let left = Left::of_frame(&soft, soft.deadline, Priority::new(11), STEP);
         assert_eq!(left, Left { to_deadline: Some(Duration::from_micros(1600)), to_expiry: Some(ms(19)) });
+    }
+
+    #[test]
+    fn a_deadline_that_is_longer_across_segments_than_on_one() {
+        // 10 ms on its segment, of which it waited 2; 100 ms in all.
+        let soft = channel(Class::Soft, Some(ms(100)), Some(ms(200)));
+        let left = Left::of_frame(&soft, Some(ms(10)), Priority::new(51), STEP);
+        assert_eq!(left, Left { to_deadline: Some(ms(98)), to_expiry: Some(ms(198)) });
     }
 
     #[test]
     fn the_other_classes() {
         let hard = channel(Class::Hard, Some(ms(5)), Some(ms(5)));
-        assert_eq!(Left::of_frame(&hard, Priority::HARD, STEP).to_deadline, Some(ms(5)));
+        assert_eq!(Left::of_frame(&hard, hard.deadline, Priority::HARD, STEP).to_deadline, Some(ms(5)));
         let text = channel(Class::NonRealTime, None, None);
-        let left = Left::of_frame(&text, Priority::LEAST, STEP);
+        let left = Left::of_frame(&text, None, Priority::LEAST, STEP);
         assert_eq!(left.after(ms(1_000_000)), Some(Left { to_deadline: None, to_expiry: None }));
         // Nobody makes it fresher than the channel is.
         let much = Left { to_deadline: Some(ms(1000)), to_expiry: None };

@@ -109,6 +109,11 @@ fn each_mistake_is_told_with_its_line_and_a_remedy() {
             "class = \"hard\"\nfrom = [\"line\"]",
             "the plan of this segment has no such hard real-time channel",
         ),
+        (
+            "interval = \"10 ms\"",
+            "interval = \"10 ms\"\nto = []\nunasked = [\"line\"]",
+            "gateway.toml:16: unasked: the channel may not enter this segment",
+        ),
         ("[ip]", "[ip]\nmode = \"star\"", "write \"router\", \"peer\" or \"client\""),
         ("[ip]", "metrics = \"9464\"\n[ip]", "metrics: \"9464\" is none: write an address"),
         (

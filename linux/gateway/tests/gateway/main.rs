@@ -8,3 +8,4 @@ mod hostile;
 mod ip;
 mod program;
 mod redundant;
+mod secure;
