@@ -176,7 +176,7 @@ impl Segment for EmulatedSegment {
         let wanted = self.time(to);
         let until = wanted.min(from + LONGEST_STEP);
         let stands = Duration::from_ticks(wanted.as_ticks() - until.as_ticks());
-        self.behind = self.behind + stands;
+        self.behind += stands;
         self.pace.stood.fetch_add(stands.as_ticks(), Ordering::Relaxed);
         self.cluster.run_until(until);
         for (at, place) in self.members.iter().enumerate().filter(|(_, place)| place.used) {

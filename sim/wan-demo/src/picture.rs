@@ -52,7 +52,7 @@ pub fn draw(story: &Story) -> String {
             .add(line((at, BOTTOM), (at, BOTTOM + 5.0), "#333", 1.0))
             .add(Text::new(format!("{second}")).set("x", at - 4.0).set("y", BOTTOM + 20.0));
     }
-    let legend = "blue: crossed; orange, short: discarded, for it would have come too late. Seconds.";
+    let legend = "blue: crossed; orange, short: never on the far bus. Seconds.";
     document.add(Text::new(legend).set("x", LEFT).set("y", HEIGHT - 10.0).set("fill", "#333")).to_string()
 }
 
