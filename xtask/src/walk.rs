@@ -111,7 +111,7 @@ impl Walk<'_> {
                 (|line| line.contains(" :: ") && !line.contains("Unknown"), frames)
             }
             _ if command.contains("tshark") => {
-                (|line| line.contains(" COSMIC ") && line.contains(": "), frames)
+                (|line| line.contains(" COSMIC ") && !line.contains("COSMIC,"), frames)
             }
             _ if command.contains("events.py") => (|_| true, events),
             _ if command.contains("cosmic-cli") => (
