@@ -16,6 +16,7 @@
 //! do, it turns interrupts off for 100 µs: to show that a delay, if there was one, would be seen.
 #![no_std]
 #![no_main]
+#![allow(clippy::result_large_err, reason = "RTIC gives back what a task that cannot be spawned was to own")]
 
 #[rtic::app(
     device = qemu_tests::device,
