@@ -1,6 +1,6 @@
 //! The gateway: segments of CAN joined over IP, with deadlines kept; and a [node on IP alone](ip).
 //!
-//! What crosses is decided by a [configuration](config) and by [rules](rules); how an event looks on its way, by
+//! What crosses is decided by a [configuration](config) and by [rules]; how an event looks on its way, by
 //! [its encoding](encoding) and [its keys](keys). Between the sides stands [zenoh](https://zenoh.io), whose declarations
 //! and liveliness are the lists of subscribers. `docs/gateway.md` tells how to set up a gateway and what it promises.
 //!

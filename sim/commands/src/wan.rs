@@ -62,7 +62,7 @@ impl Options {
 
 const NOTES: &str = "\
 Sensor, brake and diagnostics run in the west, another brake in the east, at the speed of the wall clock.
-The brake in the east gets temperatures and suspension from the west; wheel speeds are hard real-time and do not cross.
+The bus in the east gets temperatures and brake forces from the west; wheel speeds are hard real-time and do not cross.
 All traffic stays on the loopback interface.
 
 Exit code: 0 all as promised, 1 not, 2 it could not be run.";
