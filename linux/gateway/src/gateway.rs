@@ -5,7 +5,6 @@
 //! nobody wants on the other side does not cross.
 
 use std::collections::HashMap;
-use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration as Span;
@@ -25,39 +24,13 @@ use crate::clock::Reading;
 use crate::config::{ChannelConfig, Config};
 use crate::counters::{Counters, Direction, Metrics, Outcome};
 use crate::encoding::Envelope;
+use crate::error::StartError;
 use crate::keys::Name;
 use crate::leader::group_of;
 use crate::network::{Network, NetworkError, Voice};
 use crate::segment::{Incoming, Left, Segment, keep_leader};
 use crate::sequence::Windows;
 use crate::table::{self, Table};
-
-/// Why a gateway does not run.
-#[derive(Clone, PartialEq, Eq, Debug)]
-#[non_exhaustive]
-pub enum StartError {
-    /// The network on IP.
-    Network(NetworkError),
-    /// One of the segments; the text says what, and what to do.
-    Segment(Name, String),
-}
-
-impl StartError {
-    pub(crate) fn segment(name: &Name, what: String) -> Self {
-        Self::Segment(name.clone(), what)
-    }
-}
-
-impl fmt::Display for StartError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Network(error) => error.fmt(f),
-            Self::Segment(name, what) => write!(f, "segment {name}: {what}"),
-        }
-    }
-}
-
-impl std::error::Error for StartError {}
 
 /// A gateway that runs. It ends when it is dropped, or [in order](Gateway::stop).
 pub struct Gateway {

@@ -15,6 +15,7 @@ pub mod clock;
 pub mod config;
 pub mod counters;
 pub mod encoding;
+mod error;
 mod gateway;
 pub mod ip;
 pub mod keys;
@@ -26,5 +27,6 @@ pub mod sequence;
 pub mod service;
 pub mod table;
 
-pub use gateway::{Gateway, StartError};
+pub use error::StartError;
+pub use gateway::Gateway;
 pub use network::NetworkError;

@@ -21,7 +21,7 @@ pub(crate) use origin::Left;
 
 use crate::config::{ChannelConfig, SegmentConfig};
 use crate::counters::{Counters, Direction, Metrics, Outcome};
-use crate::gateway::StartError;
+use crate::error::StartError;
 use crate::keys::Name;
 use crate::leader::Leadership;
 use crate::rules::Ceiling;

@@ -12,7 +12,8 @@ use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 
 use crate::config::Config;
-use crate::gateway::{Gateway, StartError};
+use crate::error::StartError;
+use crate::gateway::Gateway;
 
 /// Why a service has ended that should not.
 #[derive(Clone, PartialEq, Eq, Debug)]
