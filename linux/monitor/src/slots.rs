@@ -170,7 +170,7 @@ mod tests {
     use cosmic_plan::cluster::EXAMPLE;
     use cosmic_plan::document::Source;
 
-    /// `wheel_speed` of the example: every 10 ms at 2 ms, deadline 542 us behind.
+    /// `wheel_speed` of the example: every 10 ms at 2 ms, deadline 522 us behind.
     fn slots() -> (Slots, Id) {
         let plan = SegmentPlan::parse(&Source::new("vehicle.toml", EXAMPLE)).unwrap();
         let planned = plan.slots()[0].slot;
@@ -188,7 +188,7 @@ mod tests {
         for (us, standing) in [
             (1_002_130, Standing::Inside),
             (1_011_960, Standing::Inside),
-            (1_022_590, Standing::Inside),
+            (1_022_560, Standing::Inside),
             (1_033_000, Standing::Outside),
             (1_041_900, Standing::Outside),
         ] {
@@ -196,7 +196,7 @@ mod tests {
         }
         let seen = &slots.slots[0];
         assert_eq!((seen.frames, seen.outside), (3, 2));
-        assert_eq!((seen.earliest, seen.latest), (Some(-40_000), Some(590_000)));
+        assert_eq!((seen.earliest, seen.latest), (Some(-40_000), Some(560_000)));
         assert_eq!(slots.on_frame(id, None, tolerance), Standing::Unknown);
         let stranger = Id::new(Priority::HARD, TxNode::MAX, id.etag());
         assert_eq!(slots.on_frame(stranger, global(1), tolerance), Standing::Unplanned);
