@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import asyncio
 import os
+from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Iterator, Mapping
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from . import _native
 from ._native import (
@@ -78,7 +79,28 @@ def open(
     return Node(native)
 
 
-class Node:
+_Self = TypeVar("_Self", bound="_Closed")
+
+
+class _Closed(ABC):
+    """Closed at the end of a ``with``."""
+
+    @abstractmethod
+    def close(self) -> None: ...
+
+    def __enter__(self: _Self) -> _Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class Node(_Closed):
     """A node on a segment, from :func:`open`. Use it in ``with``, or close it."""
 
     def __init__(self, native: _native.Node) -> None:
@@ -179,19 +201,8 @@ class Node:
         """Ends the node, with its subscriptions. Events that wait to be sent are discarded."""
         self._native.close()
 
-    def __enter__(self) -> Node:
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-
-class Subscription:
+class Subscription(_Closed):
     """Events of a channel, from :meth:`Node.subscribe`: iterate over it, with ``for`` or ``async for``.
 
     The iteration ends when the subscription or its node is closed. Any thread, and any task of any event loop, may take
@@ -249,19 +260,8 @@ class Subscription:
                 return event
             await _readable(self._native.fileno())
 
-    def __enter__(self) -> Subscription:
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-
-class Segment:
+class Segment(_Closed):
     """A simulated segment in real time, to try things without hardware; other programs reach it by its link, too.
 
     path: where its socket is to be. Use it in ``with``, or close it.
@@ -278,17 +278,6 @@ class Segment:
     def close(self) -> None:
         """Ends it. Nodes lose their connection."""
         self._native.close()
-
-    def __enter__(self) -> Segment:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _quality(
