@@ -13,7 +13,9 @@
 //! `r − a`. Of several answers the one with the lowest bound is kept. An event is discarded when it *may* have expired:
 //! none that has expired is let through.
 //!
-//! The clock is the kernel's of the time since boot: it does not step, and goes on while the machine sleeps.
+//! The clock is the kernel's of the time since boot: it does not step, and goes on while the machine sleeps. Where a clock
+//! steps all the same (a virtual machine that is put back to an earlier state), the next answer contradicts what was
+//! known before, and takes its place: for as long as it takes to ask, ages are wrong by the step.
 
 use cosmic_core::time::Duration;
 
@@ -46,6 +48,13 @@ pub struct Exchange {
     pub received_at: Reading,
 }
 
+impl Exchange {
+    /// The answer was given before it was received.
+    fn ahead_at_least(self) -> i128 {
+        i128::from(self.answered_at.0) - i128::from(self.received_at.0)
+    }
+}
+
 /// What is known of the clock of another.
 #[derive(Clone, Copy, Debug)]
 pub struct PeerClock {
@@ -58,10 +67,12 @@ impl PeerClock {
         Self { best: first }
     }
 
-    /// Another answer has come. It is kept if it says more than what is known, which gets worse with time.
+    /// Another answer has come. It is kept if it says more than what is known, which gets worse with time; or if it
+    /// contradicts that: then one of the clocks has stepped, and what was known is of no use any more.
     pub fn note(&mut self, exchange: Exchange) {
         let now = exchange.received_at;
-        if Self::new(exchange).ahead_at_most(now) <= self.ahead_at_most(now) {
+        let known = self.ahead_at_most(now);
+        if Self::new(exchange).ahead_at_most(now) <= known || exchange.ahead_at_least() > known {
             self.best = exchange;
         }
     }
@@ -124,6 +135,22 @@ mod tests {
         assert_eq!(clock.ahead_at_most(Reading(0)), i128::from(MS), "the first was better");
         clock.note(exchange(60_000 * MS, 60_050 * MS, 60_060 * MS));
         assert_eq!(clock.ahead_at_most(Reading(0)), i128::from(50 * MS), "a minute later it is not");
+    }
+
+    #[test]
+    fn a_clock_that_steps_is_believed_until_it_is_asked_again() {
+        let mut clock = PeerClock::new(exchange(0, MS, 2 * MS));
+        // A second later theirs is five seconds ahead: all it stamps would be too fresh for over an hour.
+        clock.note(exchange(1000 * MS, 6001 * MS, 1002 * MS));
+        let age = clock.age_at_most(Reading(6001 * MS), Reading(1201 * MS)).unwrap();
+        assert_eq!(age.as_ticks(), 201 * MS + 201_000);
+        // And back again.
+        clock.note(exchange(2000 * MS, 2001 * MS, 2002 * MS));
+        let age = clock.age_at_most(Reading(2001 * MS), Reading(2201 * MS)).unwrap();
+        assert_eq!(age.as_ticks(), 201 * MS + 201_000);
+        // An answer that is only slow contradicts nothing.
+        clock.note(exchange(2300 * MS, 2500 * MS, 2700 * MS));
+        assert_eq!(clock.ahead_at_most(Reading(2000 * MS)), i128::from(MS));
     }
 
     #[test]
