@@ -62,8 +62,11 @@ outcomes! {
     ComeBack,
     /// Not forwarded: this gateway does not lead its segment.
     StandingBy,
-    /// At a take-over: it was on the bus after the last sign of the gateway that led before, and was perhaps not forwarded.
+    /// At a take-over: it was on the bus after the last sign of the gateway that led before, or before any led, and was
+    /// perhaps not forwarded.
     PerhapsLost,
+    /// Not forwarded: nobody on the other side wants it, or does so any longer.
+    Unwanted,
     /// Discarded: zenoh did not take it.
     NotSent,
     /// Discarded: too many senders at once.

@@ -4,6 +4,7 @@ mod bed;
 mod config;
 mod crossing;
 mod cuts;
+mod ends;
 mod hostile;
 mod ip;
 mod program;

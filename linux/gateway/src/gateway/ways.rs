@@ -1,0 +1,140 @@
+//! The ways of channels between a gateway's segments and IP: opened and closed as they are wanted.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration as Span;
+
+use cosmic_core::can::Payload;
+use cosmic_linux::Subscriber;
+use tokio::task::JoinHandle;
+use zenoh::sample::{Locality, Sample};
+
+use super::hub::Hub;
+use crate::error::StartError;
+use crate::network::{Voice, failed};
+
+/// All that is open. It closes when it is dropped.
+struct Ways {
+    hub: Arc<Hub>,
+    /// By segment: while we speak for it.
+    voices: Vec<Option<Voice>>,
+    /// By segment and channel: reads it there, while somebody elsewhere wants it; `None`: it is refused.
+    readers: HashMap<(usize, usize), Option<Reader>>,
+    /// By channel: while somebody on our segments wants it.
+    from_ip: HashMap<usize, zenoh::pubsub::Subscriber<()>>,
+}
+
+/// A task that ends with it.
+struct Reader(JoinHandle<()>);
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+/// Keeps the ways, for ever.
+///
+/// # Errors
+/// zenoh refuses one.
+pub(super) async fn keep(hub: Arc<Hub>) -> Result<(), StartError> {
+    let voices = hub.segments.iter().map(|_| None).collect();
+    let mut ways = Ways { hub, voices, readers: HashMap::new(), from_ip: HashMap::new() };
+    loop {
+        ways.look().await?;
+        let timer = tokio::time::sleep(LONGEST_DELAY);
+        tokio::select! {
+            () = ways.hub.changed.notified() => {}
+            () = timer => {}
+        }
+    }
+}
+
+impl Ways {
+    /// Opens and closes what has changed. Work: a look at each channel of each segment.
+    async fn look(&mut self) -> Result<(), StartError> {
+        for segment in 0..self.hub.segments.len() {
+            self.keep_voice(segment).await?;
+        }
+        for channel in 0..self.hub.channels.len() {
+            let wanting: Vec<bool> = self.hub.segments.iter().map(|segment| segment.wants(channel)).collect();
+            let all = wanting.iter().filter(|wants| **wants).count();
+            for (segment, wants) in wanting.iter().enumerate() {
+                self.keep_reader(segment, channel, all > usize::from(*wants));
+            }
+            self.keep_subscriber(channel, all > 0).await?;
+        }
+        Ok(())
+    }
+
+    async fn keep_voice(&mut self, at: usize) -> Result<(), StartError> {
+        let (segment, voice) = (&self.hub.segments[at], &mut self.voices[at]);
+        if !segment.leads() {
+            *voice = None;
+        } else if voice.is_none() {
+            let network = &self.hub.network;
+            *voice = Some(network.speak_for(&segment.name).await.map_err(StartError::Network)?);
+            if network.peers.speaking_for(&segment.name) > 0 {
+                tracing::warn!(
+                    "another gateway speaks for a segment {} too: each segment needs a name of its own",
+                    segment.name
+                );
+            }
+        }
+        Ok(())
+    }
+
+    fn keep_reader(&mut self, segment: usize, channel: usize, elsewhere: bool) {
+        let Some(outlet) = &self.hub.outlets[segment][channel] else { return };
+        let (place, wanted) = ((segment, channel), elsewhere || outlet.wanted.load(Ordering::Relaxed));
+        if !wanted {
+            self.readers.remove(&place);
+        } else if self.readers.get(&place).is_none_or(Option::is_none) {
+            let reader = match self.hub.segments[segment].listen(channel) {
+                Ok(subscriber) => {
+                    let read = read(Arc::clone(&self.hub), segment, channel, subscriber);
+                    Some(Reader(tokio::spawn(read)))
+                }
+                Err(why) => {
+                    let (name, of) = (&self.hub.channels[channel].name, &self.hub.segments[segment].name);
+                    if !self.readers.contains_key(&place) {
+                        tracing::warn!("segment {of}: the channel {name:?} cannot be subscribed to: {why}");
+                    }
+                    None
+                }
+            };
+            self.readers.insert(place, reader);
+        }
+    }
+
+    async fn keep_subscriber(&mut self, channel: usize, wanted: bool) -> Result<(), StartError> {
+        if !wanted {
+            self.from_ip.remove(&channel);
+        } else if !self.from_ip.contains_key(&channel) {
+            let hub = Arc::downgrade(&self.hub);
+            let on_sample = move |sample: Sample| {
+                if let Some(hub) = hub.upgrade() {
+                    hub.on_sample(channel, &sample);
+                }
+            };
+            let network = &self.hub.network;
+            let key = network.keys.events(self.hub.channels[channel].subject);
+            let subscriber = network.session.declare_subscriber(key).allowed_origin(Locality::Remote);
+            let subscriber = subscriber.callback(on_sample).await;
+            let subscriber = subscriber.map_err(|error| StartError::Network(failed(&error)))?;
+            self.from_ip.insert(channel, subscriber);
+        }
+        Ok(())
+    }
+}
+
+async fn read(hub: Arc<Hub>, segment: usize, channel: usize, subscriber: Subscriber<Payload>) {
+    loop {
+        let event = subscriber.next().await;
+        hub.on_event(segment, channel, &event);
+    }
+}
+
+/// Not every change is told of.
+const LONGEST_DELAY: Span = Span::from_secs(1);
