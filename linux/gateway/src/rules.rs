@@ -1,10 +1,11 @@
 //! What may cross, and how much of it.
 //!
 //! A channel crosses only if the configuration names it, and only out of and into the segments that it allows. Toward a
-//! segment three bounds hold, one behind the other:
+//! segment three bounds hold:
 //!
 //! 1. the rate of the channel: a token bucket, in the node, as for every publisher of a channel that has a rate;
-//! 2. the [ceiling](Ceiling) of the segment: the share of its bus that all that comes in may take;
+//! 2. the [ceiling](Ceiling) of the segment: the share of its bus that all that comes in may take. What the rate refuses
+//!    is not charged to it, so a channel that is flooded does not keep the others out;
 //! 3. the class: nothing comes in as hard real-time, and no etag comes from outside: the node binds the subject itself.
 
 use cosmic_core::can::BitRate;
@@ -66,15 +67,16 @@ impl Ceiling {
         Self { bit_rate, share, nominal: Instant::EPOCH }
     }
 
-    /// Charges a frame of so many bytes. Returns whether it fits; else nothing is charged.
-    pub fn charge(&mut self, len: usize, now: Instant) -> bool {
-        let nominal = self.nominal.max(now);
-        if nominal.saturating_since(now) > BURST {
-            return false;
-        }
+    /// Returns whether one more frame may come in.
+    pub fn has_room(&self, now: Instant) -> bool {
+        self.nominal.saturating_since(now) <= BURST
+    }
+
+    /// A frame of so many bytes has come in.
+    pub fn charge(&mut self, len: usize, now: Instant) {
         let frame = self.bit_rate.longest_frame(len).as_ticks();
-        self.nominal = nominal + Duration::from_ticks(frame.saturating_mul(100) / u64::from(self.share.0));
-        true
+        let of_share = Duration::from_ticks(frame.saturating_mul(100) / u64::from(self.share.0));
+        self.nominal = self.nominal.max(now) + of_share;
     }
 }
 
@@ -93,7 +95,10 @@ mod tests {
         // Ten thousand events a second, for ten seconds.
         for number in 0..100_000_u64 {
             let now = Instant::from_epoch(Duration::from_micros(1_000_000 + 100 * number));
-            passed += u32::from(ceiling.charge(8, now));
+            if ceiling.has_room(now) {
+                ceiling.charge(8, now);
+                passed += 1;
+            }
             if number == 99 {
                 first_burst = passed;
             }

@@ -210,12 +210,15 @@ impl Segment {
         if let Some(left) = left.to_expiry {
             published = published.expires_at(now + left.max(Duration::from_ticks(1)));
         }
-        if !self.ceiling.lock().unwrap_or_else(PoisonError::into_inner).charge(content.len(), now) {
+        let mut ceiling = self.ceiling.lock().unwrap_or_else(PoisonError::into_inner);
+        if !ceiling.has_room(now) {
             return Outcome::CeilingExceeded;
         }
         match publisher.publish_event(&published) {
-            Ok(()) if is_late => Outcome::ForwardedLate,
-            Ok(()) => Outcome::Forwarded,
+            Ok(()) => {
+                ceiling.charge(content.len(), now);
+                if is_late { Outcome::ForwardedLate } else { Outcome::Forwarded }
+            }
             Err(PublishError::TooFast) => Outcome::RateExceeded,
             Err(PublishError::QueueFull) => Outcome::QueueFull,
             Err(PublishError::Deadline) => Outcome::Expired,
