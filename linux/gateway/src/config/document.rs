@@ -99,7 +99,7 @@ struct SegmentTable {
     bit_rate: Option<Text>,
     plan: Option<Text>,
     ceiling: Option<Spanned<i64>>,
-    broker: Option<PathBuf>,
+    broker: Option<Spanned<PathBuf>>,
     #[serde(default)]
     etags: BTreeMap<String, Spanned<i64>>,
 }
@@ -217,10 +217,18 @@ impl Reader<'_> {
     }
 
     fn check(&mut self, document: &Document, segments: &[SegmentConfig], channels: &[ChannelConfig]) {
-        let mut names = HashSet::new();
+        let (mut names, mut links, mut tables) = (HashSet::new(), HashSet::new(), HashSet::new());
         for table in &document.segment {
             if !names.insert(table.name.get_ref()) {
                 self.wrong(&table.name, "name", "another segment has this name: choose another");
+            }
+            let link = table.link.get_ref().parse::<LinkAddress>().map(|link| link.to_string());
+            if link.is_ok_and(|link| !links.insert(link)) {
+                self.wrong(&table.link, "link", "another segment has this link: each has a bus of its own");
+            }
+            if table.broker.as_ref().is_some_and(|broker| !tables.insert(broker.get_ref())) {
+                let what = "another segment keeps its table in this file: each needs one of its own";
+                self.wrong(&table.name, "broker", what);
             }
         }
         let (mut names, mut subjects) = (HashSet::new(), HashSet::new());
@@ -228,7 +236,8 @@ impl Reader<'_> {
             if !names.insert(table.name.get_ref()) {
                 self.wrong(&table.name, "name", "another channel has this name: choose another");
             }
-            if !subjects.insert(table.subject.get_ref()) {
+            // The number counts, not how it is written.
+            if hexadecimal(table.subject.get_ref()).is_some_and(|subject| !subjects.insert(subject)) {
                 self.wrong(&table.subject, "subject", "another channel has this subject: state it once");
             }
         }
@@ -388,13 +397,17 @@ impl Reader<'_> {
             let read = |number: &i64| {
                 Etag::new(u16::try_from(*number).ok()?).filter(|etag| !etag.is_hard() && !etag.is_reserved())
             };
-            if let Some(etag) = self.value(at, "etags", read, "write an etag from 1024 to 16383") {
-                etags.insert(subject, etag);
+            let Some(etag) = self.value(at, "etags", read, "write an etag from 1024 to 16383") else {
+                continue;
+            };
+            if let Some(what) = taken(etag, subject, &etags, plan.as_ref()) {
+                self.wrong(at, "etags", what);
             }
+            etags.insert(subject, etag);
         }
-        let broker = table.broker.as_ref().map(|path| self.folder.join(path));
-        if broker.is_some() && table.tx_node.is_none() {
-            self.wrong(&table.name, "broker", "who hosts the broker needs a fixed id: add tx-node");
+        let broker = table.broker.as_ref().map(|path| self.folder.join(path.get_ref()));
+        if let Some(at) = table.broker.as_ref().filter(|_| table.tx_node.is_none()) {
+            self.wrong(at, "broker", "who hosts the broker needs a fixed id: add tx-node");
         }
         Some(SegmentConfig {
             name: name?,
@@ -520,6 +533,27 @@ fn planned_etags(plan: &SegmentPlan, channels: &[ChannelConfig]) -> Vec<(Subject
         (!planned.is_hard() && !planned.is_reserved()).then_some((channel.subject, planned))
     };
     channels.iter().filter_map(etag).collect()
+}
+
+/// Why a channel cannot have an etag in a segment: its plan gives it another, or another channel has it.
+fn taken(
+    etag: Etag,
+    subject: Subject,
+    etags: &HashMap<Subject, Etag>,
+    plan: Option<&SegmentPlan>,
+) -> Option<String> {
+    let number = etag.get();
+    let planned = |plan: &SegmentPlan| plan.channel(plan.channel_of_subject(subject)?).etag;
+    if let Some(planned) = plan.and_then(planned).filter(|planned| *planned != etag) {
+        return Some(format!(
+            "the plan gives this channel {}, not {number}: leave it out here",
+            planned.get()
+        ));
+    }
+    let of_plan = |plan: &SegmentPlan| Subject::new(plan.channel(plan.channel_of_etag(etag)?).subject);
+    let here = etags.iter().find(|(_, other)| **other == etag).map(|(other, _)| *other);
+    let other = here.or(plan.and_then(of_plan)).filter(|other| *other != subject)?;
+    Some(format!("{number} is the etag of the subject {other} already: each channel needs one of its own"))
 }
 
 fn hexadecimal(text: &str) -> Option<u64> {

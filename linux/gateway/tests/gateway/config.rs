@@ -1,6 +1,6 @@
 //! The configuration: the example of the documentation, and mistakes.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use cosmic_core::can::TxNode;
 use cosmic_core::protocol::Class;
@@ -15,9 +15,12 @@ fn example() -> String {
     behind.split_once("```").unwrap().0.to_owned()
 }
 
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../cosmic-plan/examples")
+}
+
 fn read(text: &str) -> Result<Config, String> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../cosmic-plan/examples");
-    Config::parse("gateway.toml", text, &folder).map_err(|problems| problems.to_string())
+    Config::parse("gateway.toml", text, &folder()).map_err(|problems| problems.to_string())
 }
 
 #[test]
@@ -142,6 +145,64 @@ fn names_and_subjects_stand_once() {
     let why = read(&(with("tx-node = 90", "") + channel)).unwrap_err();
     assert!(
         why.contains("another channel has this name") && why.contains("another channel has this subject"),
+        "{why}"
+    );
+}
+
+/// The configuration with one more channel, and this line in the segment's table.
+fn with_two_channels(line: &str, subject: &str) -> Result<Config, String> {
+    let second = format!(
+        "[[channel]]\nname = \"cold\"\nsubject = \"{subject}\"\nclass = \"non-real-time\"\ninterval = \"1 s\"\n"
+    );
+    read(&(with("tx-node = 90", line) + &second))
+}
+
+#[test]
+fn a_subject_is_a_number_however_it_is_written() {
+    for same in ["0xC05A", "C05A", "0xc05a", "0x000000000000C05A"] {
+        let why = with_two_channels("", same).unwrap_err();
+        assert!(why.contains("another channel has this subject"), "{same}: {why}");
+    }
+    assert!(with_two_channels("", "0xC05B").is_ok());
+}
+
+#[test]
+fn an_etag_is_that_of_one_channel() {
+    let with_etags = |etags: &str| with_two_channels(&format!("etags = {{ {etags} }}"), "0xC05B");
+    for etags in ["heat = 5000, cold = 5000", "cold = 5000, gateways = 5000"] {
+        let why = with_etags(etags).unwrap_err();
+        assert!(why.contains("5000 is the etag of the subject"), "{why}");
+        assert!(why.contains("each channel needs one of its own"), "{why}");
+    }
+    assert!(with_etags("heat = 5000, cold = 5001, gateways = 5002").is_ok());
+}
+
+#[test]
+fn an_etag_of_the_plan_is_not_given_again() {
+    let plan = cosmic_monitor::SegmentPlan::read(folder().join("vehicle.toml")).unwrap();
+    let temperature = plan.channel(plan.channel_named("temperature").unwrap());
+    let (subject, etag) = (format!("{:X}", temperature.subject), temperature.etag.unwrap().get());
+    let with = |etags: &str, subject: &str| {
+        with_two_channels(&format!("plan = \"vehicle.toml\"\netags = {{ {etags} }}"), subject)
+    };
+    let why = with(&format!("heat = {etag}"), "0xC05B").unwrap_err();
+    assert!(
+        why.contains(&format!("{etag} is the etag of the subject")),
+        "another channel of the plan: {why}"
+    );
+    let why = with("cold = 9000", &subject).unwrap_err();
+    assert!(why.contains(&format!("the plan gives this channel {etag}, not 9000: leave it out")), "{why}");
+    assert!(with(&format!("cold = {etag}"), &subject).is_ok(), "the same once more is no contradiction");
+}
+
+#[test]
+fn segments_share_neither_a_link_nor_a_table() {
+    let first = with("tx-node = 90", "tx-node = 90\nbroker = \"table\"");
+    let second =
+        "[[segment]]\nname = \"two\"\nlink = \"can:can0\"\nuid = \"2\"\ntx-node = 9\nbroker = \"table\"\n";
+    let why = read(&(first + second)).unwrap_err();
+    assert!(
+        why.contains("another segment has this link") && why.contains("keeps its table in this file"),
         "{why}"
     );
 }
