@@ -259,6 +259,8 @@ impl<C: Content> Publisher<C> {
             (Some(deadline), Some(expiry), None) => Some(expiry.max(deadline)),
             (_, expiry, _) => expiry,
         };
+        // A number is drawn for what is sent, or the others would miss it.
+        let content = self.encode(event)?.as_slice().to_vec();
         let envelope = Envelope {
             class,
             node: None,
@@ -268,7 +270,7 @@ impl<C: Content> Publisher<C> {
             sent_at: Reading::now(),
             to_deadline,
             to_expiry,
-            content: self.encode(event)?.as_slice().to_vec(),
+            content,
         };
         let put = self.publisher.put(envelope.encode()).wait();
         let outcome = if put.is_ok() { Outcome::Forwarded } else { Outcome::NotSent };

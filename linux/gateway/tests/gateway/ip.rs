@@ -5,7 +5,7 @@ use std::time::Duration as Span;
 use crate::bed::{HEAT, HEAT_TABLE, Segment, Setup, fifo, name, port, until};
 use cosmic_core::Subject;
 use cosmic_core::can::{Etag, TxNode};
-use cosmic_core::event_layer::{Channel, Event, HardAttributes, Policy, PublishError};
+use cosmic_core::event_layer::{Attribute, Channel, Context, Event, HardAttributes, Policy, PublishError};
 use cosmic_core::protocol::Class;
 use cosmic_core::time::Duration;
 use cosmic_gateway::config::{Ip, Mode};
@@ -85,6 +85,12 @@ async fn two_nodes_on_ip_need_no_gateway_and_hard_real_time_is_refused() {
     publisher.publish(5).unwrap();
     let event = tokio::time::timeout(crate::bed::PATIENCE, subscriber.next()).await.unwrap();
     assert_eq!((event.content, event.origin.segment, event.origin.node), (5, name("one"), None));
+    // One that is refused draws no number: the others do not miss it.
+    let unfit = Event::new(1).context(Context::EMPTY.with(Attribute::Confidence, 1).unwrap());
+    assert_eq!(publisher.publish_event(&unfit), Err(PublishError::TooLong));
+    publisher.publish(6).unwrap();
+    let event = tokio::time::timeout(crate::bed::PATIENCE, subscriber.next()).await.unwrap();
+    assert_eq!((event.content, other.count(Direction::In, Outcome::Missing)), (6, 0));
     let hard: Channel<u8> = Channel::hard(
         Subject::new(0x99).unwrap(),
         Etag::HARD_FIRST,
