@@ -92,11 +92,13 @@ impl Leadership {
         }
     }
 
-    /// A beacon of another gateway has arrived.
-    pub(crate) fn on_beacon(&mut self, from: TxNode, beacon: Beacon, now: Instant) {
-        if Some(from) != self.me {
+    /// A beacon of another gateway has arrived. Returns whether it is of the one that leads for our network.
+    pub(crate) fn on_beacon(&mut self, from: TxNode, beacon: Beacon, now: Instant) -> bool {
+        let is_of_other = Some(from) != self.me;
+        if is_of_other {
             self.others.insert(from, Other { heard_at: now, beacon });
         }
+        is_of_other && beacon.leads && beacon.group == self.group
     }
 
     /// A beacon of ours has been sent, which was published then.
@@ -205,7 +207,7 @@ mod tests {
                     leadership.on_sent(now);
                 }
                 for (_, other, _) in &mut self.gateways {
-                    other.on_beacon(node, beacon, now);
+                    let _ = other.on_beacon(node, beacon, now);
                 }
             }
             assert!(self.leaders().len() <= 1, "two lead at {}", self.now);
@@ -278,7 +280,8 @@ mod tests {
         let (me, other) = (TxNode::new(9).unwrap(), TxNode::new(5).unwrap());
         let _ = leadership.tick(Some(me), true, at(0));
         for now in (100..1000).step_by(100) {
-            leadership.on_beacon(other, Beacon { group: 2, leads: true, able: true }, at(now));
+            let of_ours = leadership.on_beacon(other, Beacon { group: 2, leads: true, able: true }, at(now));
+            assert!(!of_ours, "it forwards nothing of ours");
             let _ = leadership.tick(Some(me), true, at(now));
         }
         assert!(leadership.leads() && leadership.is_gateway(other));

@@ -38,12 +38,11 @@ pub(crate) async fn keep_leader(
             }
             event = subscriber.next() => {
                 let is_own = Some(event.publisher) == segment.node.tx_node();
-                if let Some(beacon) = Beacon::decode(event.content).filter(|_| !is_own) {
-                    segment.leadership().on_beacon(event.publisher, beacon, event.received_at);
-                    if beacon.leads {
-                        // Who published it was alive then, and forwarded what had come before.
-                        segment.passed_over().forget_before(published_by(event.received_at));
-                    }
+                if let Some(beacon) = Beacon::decode(event.content).filter(|_| !is_own)
+                    && segment.leadership().on_beacon(event.publisher, beacon, event.received_at)
+                {
+                    // Who published it was alive then, and forwarded what had come before.
+                    segment.passed_over().forget_before(published_by(event.received_at));
                 }
             }
             news = news.recv() => {
@@ -79,7 +78,8 @@ impl Beacons {
         let forwards = segment.leadership().may_forward(now);
         if forwards && !std::mem::replace(&mut self.forwarded, forwards) {
             let heard = segment.leadership().leader_heard_at();
-            let since = heard.map_or(now, published_by);
+            // If nobody led before, nobody has forwarded what was left to others.
+            let since = heard.map_or(Instant::EPOCH, published_by);
             segment.outgoing.count_many(Outcome::PerhapsLost, segment.passed_over().take_since(since));
         }
         self.forwarded = forwards;

@@ -3,10 +3,12 @@
 use std::collections::BTreeSet;
 use std::time::Duration as Span;
 
-use crate::bed::{HEAT, HEAT_TABLE, Segment, Setup, count, fifo, name, port, until};
-use cosmic_core::can::Etag;
+use crate::bed::{HEAT, HEAT_TABLE, Segment, Setup, Stranger, count, fifo, frames, name, port, until};
+use cosmic_core::can::{Etag, Frame};
+use cosmic_core::event_layer::{Channel, SoftAttributes};
+use cosmic_core::time::Duration;
 use cosmic_gateway::Gateway;
-use cosmic_gateway::config::Config;
+use cosmic_gateway::config::{Config, GATEWAYS};
 use cosmic_gateway::counters::{Direction, Outcome};
 use cosmic_linux::Subscriber;
 
@@ -102,6 +104,66 @@ async fn another_gateway_takes_over_and_states_what_was_perhaps_lost() {
     let told = count(&second, "west", Direction::Out, Outcome::PerhapsLost);
     let of_east = count(&of_east, "east", Direction::In, Outcome::Forwarded);
     assert!(told >= lost as u64, "{lost} lost, {told} told; {of_east} forwarded");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn who_leads_for_another_network_has_forwarded_nothing_of_ours() {
+    let bus = Segment::start().await;
+    let (listen, connect, channels) = (port(), None, HEAT_TABLE);
+    let tap = bus.tap();
+    let setup = Setup { segment: "west", bus: &bus, tx_node: 101, listen, connect, more: ETAGS, channels };
+    let gateway = setup.start().await;
+    let stranger = Stranger::start(listen, "stranger").await;
+    let _wanted = stranger.session.declare_subscriber(stranger.keys.events(HEAT.subject())).await.unwrap();
+    // Two more gateways on the bus, of this network and of another one; what a beacon looks like ours shows.
+    let mut beacon = None;
+    until("a beacon is heard", || {
+        let of_gateway = |frame: &Frame| frame.id.tx_node().get() == 101 && frame.payload.len() == 8;
+        beacon = frames(&tap).into_iter().find(of_gateway);
+        beacon.is_some()
+    })
+    .await;
+    let mut ours: [u8; 8] = beacon.unwrap().payload.as_slice().try_into().unwrap();
+    ours[1] = 3; // it leads, and is able to
+    let theirs = [ours[0], 3, !ours[2], !ours[3], 0, 0, 0, 0];
+    let quality = SoftAttributes { deadline: Duration::from_millis(20), validity: Duration::from_millis(80) };
+    let beacons = Channel::<[u8; 8]>::soft(GATEWAYS, quality).with_etag(Etag::new(5001).unwrap());
+    let of_ours = bus.node(1).announce(&beacons).unwrap();
+    let of_theirs = bus.node(2).announce(&beacons).unwrap();
+    let beat = |publisher: cosmic_linux::Publisher<[u8; 8]>, beacon| async move {
+        loop {
+            let _ = publisher.publish(beacon);
+            tokio::time::sleep(Span::from_millis(50)).await;
+        }
+    };
+    let ours = tokio::spawn(beat(of_ours, ours));
+    let theirs = tokio::spawn(beat(of_theirs, theirs));
+    let publisher = bus.node(3).announce(&HEAT.with_etag(Etag::new(5000).unwrap())).unwrap();
+    publisher.bound().await;
+    let told = |outcome| count(&gateway, "west", Direction::Out, outcome);
+    // Longer than it only listens in any case.
+    tokio::time::sleep(Span::from_secs(1)).await;
+    let stood_by = told(Outcome::StandingBy);
+    until("it stands by", || {
+        let _ = publisher.publish(0);
+        told(Outcome::StandingBy) > stood_by + 5
+    })
+    .await;
+    let before = told(Outcome::PerhapsLost);
+    ours.abort();
+    for number in 0..20 {
+        publisher.publish(number).unwrap();
+        tokio::time::sleep(Span::from_millis(2)).await;
+    }
+    let forwarded = told(Outcome::Forwarded);
+    until("it takes over", || {
+        let _ = publisher.publish(0);
+        told(Outcome::Forwarded) > forwarded
+    })
+    .await;
+    theirs.abort();
+    let perhaps = told(Outcome::PerhapsLost) - before;
+    assert!(perhaps >= 20, "{perhaps} of 20; {} were left to the other", told(Outcome::StandingBy));
 }
 
 /// A gateway of two segments.
