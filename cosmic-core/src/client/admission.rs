@@ -296,7 +296,8 @@ impl<const N: usize> AdmissionClient<N> {
         self.confirm_all(now);
         let claimed = now + self.timing.claim;
         for entry in self.entries.iter_mut().flatten() {
-            entry.held_until = entry.held_until.map(|until| until.max(claimed));
+            // A lease of the one before says nothing: this one answers others when it has heard all that is held.
+            entry.held_until = entry.held_until.map(|_| claimed);
         }
     }
 

@@ -6,7 +6,7 @@
 //! * [`Binding`] turns subjects into etags.
 //! * [`AdmissionClient`] asks for soft real-time channels that the plan does not know.
 //!
-//! The [broker](crate::broker) serves both. A cluster in which all ids and etags are fixed needs none.
+//! The [broker](crate::broker) serves the first two, [admission control](crate::admission) beside it the third. A cluster in which all ids and etags are fixed needs none.
 //!
 //! # Contract
 //! Each is a state machine that owns no clock and no mailbox; `now` is local time and never goes back.
