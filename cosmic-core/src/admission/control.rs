@@ -92,7 +92,6 @@ impl<const N: usize> AdmissionControl<N> {
         if self.role == role {
             return;
         }
-        let answered = self.role == BrokerRole::Active;
         self.role = role;
         match role {
             BrokerRole::Off | BrokerRole::Standby => {
@@ -100,8 +99,8 @@ impl<const N: usize> AdmissionControl<N> {
                 (self.waiting, self.trial, self.reply) = ([None; WAITING], None, None);
                 self.settled_at = Instant::FAR_FUTURE;
             }
-            BrokerRole::Active if !answered => self.settled_at = now + self.timing.settle,
-            BrokerRole::Active | BrokerRole::Listening => {}
+            BrokerRole::Active => self.settled_at = now + self.timing.settle,
+            BrokerRole::Listening => {}
         }
     }
 
@@ -203,17 +202,19 @@ impl<const N: usize> AdmissionControl<N> {
         self.forget(|request| request.tx_node == tx_node);
     }
 
-    /// Goes on with a question, or begins with the next.
+    /// Goes on with a question, or begins with the next. While another broker answers, all that wait and are renewals are
+    /// done in one call: at most as many as wait.
     fn work(&mut self, now: Instant, etag_of: impl Fn(Subject) -> Option<Etag>) {
         let kept = self.timing.lease.duration() + self.timing.grace;
-        if self.trial.is_none() {
+        while self.trial.is_none() && self.reply.is_none() {
             let Some(request) = self.next_waiting(now) else { return };
             let ask = asked(&request);
             if self.table.renew(now, &ask, kept) {
-                return self.answer(&request, Ok(()), etag_of);
+                self.answer(&request, Ok(()), &etag_of);
+            } else {
+                self.trial = Some((request, self.table.begin(&ask)));
+                self.step_at = now;
             }
-            self.trial = Some((request, self.table.begin(&ask)));
-            self.step_at = now;
         }
         let Some((request, trial)) = &mut self.trial else { return };
         if now < self.step_at {

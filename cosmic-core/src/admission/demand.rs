@@ -52,7 +52,7 @@ impl<'a> Demand<'a> {
         let Some(new) = self.asked(ask, None) else { return Some(Err(Objection::Blocking)) };
         let streams = || self.streams().chain([new]);
         if walk.next.is_none() {
-            let first = self.passes_at_a_glance(&new, &streams).map(|()| self.first_point(&streams));
+            let first = self.passes_at_a_glance(&new, &streams).map(|()| self.firsts(&streams).min());
             match first {
                 Err(why) => return Some(Err(why)),
                 Ok(None) => return Some(Ok(())),
@@ -83,11 +83,6 @@ impl<'a> Demand<'a> {
         self.leaves_the_bus_idle_now_and_then(streams)?;
         self.leaves_room_for_less_urgent(new)?;
         self.sends_what_is_beyond_the_band(streams)
-    }
-
-    /// How many streams a point is about.
-    pub(super) fn count(&self) -> usize {
-        self.streams().count().saturating_add(1).saturating_add(self.reservations.above.len())
     }
 
     /// `None` if nothing with such a deadline or length can be sent.
@@ -171,11 +166,7 @@ impl<'a> Demand<'a> {
         Err(beyond.whose.map_or(Objection::Late, Objection::Suffers))
     }
 
-    /// The earliest deadline in the band.
-    fn first_point<I: Iterator<Item = Stream>>(&self, streams: &impl Fn() -> I) -> Option<u64> {
-        self.firsts(streams).min()
-    }
-
+    /// The deadlines in the band.
     fn firsts<I: Iterator<Item = Stream>>(&self, streams: &impl Fn() -> I) -> impl Iterator<Item = u64> {
         let (step, horizon) = (self.reservations.step(), self.reservations.horizon());
         let near = streams().filter(move |stream| stream.deadline < horizon);

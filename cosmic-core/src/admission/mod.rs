@@ -186,16 +186,8 @@ impl<'a, const N: usize> Admission<'a, N> {
 
     /// How many channels a point is about, in [`step`](Self::step).
     pub fn channels(&self) -> usize {
-        Demand::new(self.reservations, &self.admitted, None).count()
-    }
-
-    /// Enters what somebody else has admitted, without a test: for one who stands by.
-    ///
-    /// # Errors
-    /// [`Objection::Full`].
-    pub fn mirror(&mut self, now: Instant, ask: &Ask, lease: Duration) -> Result<(), Objection> {
-        self.expire(now);
-        self.enter(self.position(ask.tx_node, ask.etag), ask, now + lease)
+        let reserved = self.reservations.soft.len().saturating_add(self.reservations.above.len());
+        self.admitted().count().saturating_add(reserved).saturating_add(1)
     }
 
     /// The node does not publish on the channel any more. Returns whether it was admitted. O(`N`).
