@@ -1,6 +1,6 @@
 //! What a node is made of, as one type.
 
-use cosmic_core::admission::{AdmissionControl, AdmissionTiming};
+use cosmic_core::admission::AdmissionTiming;
 use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
 use cosmic_core::can::TxNode;
 use cosmic_core::plan::NodePlan;
@@ -134,13 +134,7 @@ impl<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize> PlannedHo
     for AdmittingBroker<NODES, SUBJECTS, ADMITTED>
 {
     fn planned(node: &NodePlan) -> Self {
-        let broker = Broker::planned(node);
-        match node.admission {
-            Some(plan) => {
-                Self::new(broker, AdmissionControl::new(&plan.reservations, AdmissionTiming::DEFAULT))
-            }
-            None => Self::without_control(broker),
-        }
+        Self::new(Broker::planned(node), node.admission, AdmissionTiming::DEFAULT)
     }
 }
 

@@ -1,6 +1,6 @@
 //! What a node hosts for others: a broker, one that admits channels, too, or nothing.
 
-use crate::admission::AdmissionControl;
+use crate::admission::{AdmissionControl, AdmissionPlan, AdmissionTiming};
 use crate::broker::{Broker, BrokerEvent};
 use crate::can::{Frame, Id, TxNode};
 use crate::protocol::Output;
@@ -106,14 +106,14 @@ pub struct AdmittingBroker<const NODES: usize, const SUBJECTS: usize, const ADMI
 impl<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize>
     AdmittingBroker<NODES, SUBJECTS, ADMITTED>
 {
-    /// Both are off until their node has a TxNode.
-    pub const fn new(broker: Broker<NODES, SUBJECTS>, control: AdmissionControl<ADMITTED>) -> Self {
-        Self { broker, control: Some(control) }
-    }
-
-    /// One that admits nothing: a program decides at start whether its plan says what there is to be weighed.
-    pub const fn without_control(broker: Broker<NODES, SUBJECTS>) -> Self {
-        Self { broker, control: None }
+    /// Both are off until their node has a TxNode. Without a plan, which says what there is to be weighed, it admits nothing.
+    pub fn new(
+        broker: Broker<NODES, SUBJECTS>,
+        plan: Option<&'static AdmissionPlan>,
+        timing: AdmissionTiming,
+    ) -> Self {
+        let control = plan.map(|plan| AdmissionControl::new(&plan.reservations, timing));
+        Self { broker, control }
     }
 
     /// The broker.

@@ -5,7 +5,6 @@ use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use cosmic_bus::WireFrame;
-use cosmic_core::admission::AdmissionControl;
 use cosmic_core::calendar::Calendar;
 use cosmic_core::can::{Command, ErrorCounters, Etag, Frame, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::event_half::{Due, EventHalf, Input, Step, outcome, receive};
@@ -330,13 +329,7 @@ fn restore(config: &Config, tables: &crate::BrokerTables) -> Result<Hosting, Sta
         })?;
     }
     let broker = Broker::new(config.node.uid, broker::BrokerTiming::DEFAULT, nodes, subjects);
-    Ok(match config.node.admission {
-        Some(plan) => {
-            let control = AdmissionControl::new(&plan.reservations, config.node.admission_timing);
-            Hosting::new(broker, control)
-        }
-        None => Hosting::without_control(broker),
-    })
+    Ok(Hosting::new(broker, config.node.admission, config.node.admission_timing))
 }
 
 /// Local time at the start of a node: later than any span that is taken from it.

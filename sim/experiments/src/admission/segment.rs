@@ -5,7 +5,7 @@ use super::planned::{BROKERS, NODES, Offered, PUBLISHER, Planned, soft_channels}
 use cosmic_bus::cluster::{Access, Application, ClockErrors, Cluster, NodeConfig};
 use cosmic_bus::trace::{TraceEvent, TraceKind};
 use cosmic_bus::{Bus, FaultModel, StationId, VirtualInstant};
-use cosmic_core::admission::{AdmissionControl, AdmissionTiming};
+use cosmic_core::admission::AdmissionTiming;
 use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
 use cosmic_core::can::{Etag, Frame, TxNode};
 use cosmic_core::client::AdmissionState;
@@ -311,7 +311,7 @@ fn node(planned: &Planned, at: usize, asks: bool, shared: &Rc<RefCell<Shared>>) 
             };
             let broker = (at < BROKERS).then(|| {
                 let broker = Broker::new(uid, BrokerTiming::DEFAULT, Nodes::new(), Subjects::new());
-                AdmittingBroker::new(broker, AdmissionControl::new(&admission.reservations, TIMING))
+                AdmittingBroker::new(broker, Some(admission), TIMING)
             });
             Services::new(&config, calendar, broker, now).expect("the settings of the plan are right")
         }),
