@@ -5,7 +5,7 @@ use cosmic_bus::cluster::{Access, Application, ClockErrors, Cluster, NodeConfig}
 use cosmic_bus::trace::{TraceEvent, TraceKind};
 use cosmic_bus::{Bus, Chance, FaultModel, StationId, VirtualInstant, WireFrame};
 use cosmic_core::admission::{
-    AdmissionControl, AdmissionPlan, AdmissionTiming, CalendarDemand, Faults, Reservations, Unplanned,
+    AdmissionPlan, AdmissionTiming, CalendarDemand, Faults, Reservations, Unplanned,
 };
 use cosmic_core::broker::{Broker, BrokerRole, BrokerTiming, Nodes, Subjects};
 use cosmic_core::calendar::{Calendar, Segment};
@@ -14,7 +14,9 @@ use cosmic_core::client::{AdmissionEvent, AdmissionState};
 use cosmic_core::event_layer::{
     AnnounceError, Channel, Event, EventRate, ExceptionKind, Publication, PublishError, SoftAttributes,
 };
-use cosmic_core::protocol::{AdmissionReply, AdmissionRequest, AskNumber, CoarseSpan, Rank, RefusalReason};
+use cosmic_core::protocol::{
+    AdmissionReply, AdmissionRequest, AdmissionVerdict, AskNumber, CoarseSpan, Rank, RefusalReason,
+};
 use cosmic_core::services::{self, AdmittingBroker, News, NodeServices};
 use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant, Rate};
@@ -144,7 +146,8 @@ fn node(number: u8, brokers: u8, plan: &'static AdmissionPlan, journal: &Shared)
             let broker = (number <= brokers).then(|| {
                 AdmittingBroker::new(
                     Broker::new(uid(number), BrokerTiming::DEFAULT, Nodes::new(), Subjects::new()),
-                    AdmissionControl::new(&plan.reservations, AdmissionTiming::DEFAULT),
+                    Some(plan),
+                    AdmissionTiming::DEFAULT,
                 )
             });
             Full::new(&config, &CALENDAR, broker, now).unwrap()
@@ -573,7 +576,7 @@ fn a_flood_of_questions_is_answered_within_bounds_and_others_are_served() {
 }
 
 #[test]
-fn false_answers_of_others_admit_nothing_that_was_not_asked() {
+fn questions_that_no_node_sends_do_not_disturb_others() {
     let mut bed = Bed::new(4, 1, &ASK, FaultModel::none());
     let stranger = Stranger(bed.cluster.bus().attach("stranger"));
     bed.run(2_500);
@@ -591,4 +594,31 @@ fn false_answers_of_others_admit_nothing_that_was_not_asked() {
     bed.announce(4, channel(0xC, us(10_000), us(5_000))).unwrap();
     bed.run(100);
     assert!(bed.is_admitted(4, 0xC));
+}
+
+#[test]
+fn false_answers_admit_nothing_that_was_not_asked() {
+    let mut bed = Bed::new(4, 1, &ASK, FaultModel::none());
+    let stranger = Stranger(bed.cluster.bus().attach("stranger"));
+    bed.run(2_500);
+    let lease = AdmissionTiming::DEFAULT.lease;
+    let false_answers = |bed: &mut Bed| {
+        stranger.flood(bed, 200, |turn| {
+            let (etag, number) =
+                (Etag::new(1024 + turn as u16 / 8 % 64).unwrap(), AskNumber::new(turn as u8));
+            let requester = TxNode::new(3 + (turn / 512 % 2) as u8).unwrap();
+            AdmissionReply { requester, etag, number, verdict: AdmissionVerdict::Admitted(lease) }.encode()
+        });
+    };
+    // Every etag and number, to nodes that have asked nothing.
+    false_answers(&mut bed);
+    assert!((bed.state(3, 0xB), bed.state(4, 0xC)) == (None, None));
+    assert_eq!(bed.table(), []);
+    // To one that holds its channel, and has no question open.
+    bed.announce(3, channel(0xB, us(10_000), us(5_000))).unwrap();
+    bed.run(100);
+    let held = bed.state(3, 0xB);
+    assert!(matches!(held, Some(AdmissionState::Admitted(_))));
+    false_answers(&mut bed);
+    assert_eq!(bed.state(3, 0xB), held, "its lease is no longer than it was");
 }
