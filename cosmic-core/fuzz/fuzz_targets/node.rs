@@ -2,6 +2,9 @@
 //! into a mailbox that is taken, and hard real-time frames in their own mailbox only.
 #![no_main]
 
+use cosmic_core::admission::{
+    AdmissionPlan, AdmissionTiming, CalendarDemand, Faults, Reservations, Unplanned,
+};
 use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{
@@ -9,18 +12,18 @@ use cosmic_core::can::{
 };
 use cosmic_core::event_half::{self, Due, EventHalf, Input, Step, receive};
 use cosmic_core::event_layer::{
-    Channel, Depth, Event, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy, Publication,
-    SoftAttributes, Subscription,
+    Channel, Depth, Event, EventRate, Filter, HardAttributes, Importance, NonRealTimeAttributes, Policy,
+    Publication, SoftAttributes, Subscription,
 };
 use cosmic_core::network::hard::{self, Dispatcher, HrtBuffers};
 use cosmic_core::protocol::Rank;
-use cosmic_core::services::{NodeConfig, NodeServices};
+use cosmic_core::services::{AdmittingBroker, NodeConfig, NodeServices};
 use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
 use cosmic_core_fuzz::{Act, Script, drain, subject, tx_node, uid};
 use libfuzzer_sys::fuzz_target;
 
-type Services = NodeServices<4, 8, 3, 4, Option<Broker<4, 4>>>;
+type Services = NodeServices<4, 8, 3, 4, Option<AdmittingBroker<4, 4, 2>>>;
 type Half = EventHalf<4, 4, 6, 8, 5, 5, Services>;
 
 const fn slot(number: u16, publisher: u8, phase: u64) -> Slot {
@@ -46,6 +49,23 @@ static CALENDAR: Calendar = Calendar::checked(
     &[slot(0, 1, 0), slot(1, 2, 5)],
 );
 
+/// Soft channels are asked for, and some are refused.
+static PLAN: AdmissionPlan = AdmissionPlan {
+    unplanned: Unplanned::Ask,
+    planned: &[],
+    reservations: Reservations {
+        bit_rate: BitRate::MAX,
+        priority_step: Duration::from_micros(160),
+        reload: Duration::from_micros(5),
+        slow_refill: false,
+        faults: Faults::None,
+        calendar: CalendarDemand::NONE,
+        above: &[],
+        soft: &[],
+        guarded: &[],
+    },
+};
+
 fn hard_channel(number: u16) -> Channel<u32> {
     let attributes = HardAttributes { period: Duration::from_millis(10), periodic: true, omission_degree: 1 };
     Channel::hard(subject(number as u8), CALENDAR.slots()[usize::from(number)].etag, attributes)
@@ -58,7 +78,8 @@ fn channel(of: u8) -> Channel<u32> {
         number @ 0..=1 => hard_channel(number.into()),
         number @ 2..=3 => {
             let validity = deadline + Duration::from_millis(u64::from(of / 6));
-            Channel::soft(subject(number), SoftAttributes { deadline, validity })
+            let rate = EventRate::sporadic(Duration::from_micros(400 + u64::from(of)));
+            Channel::soft(subject(number), SoftAttributes { deadline, validity }).with_rate(rate)
         }
         number => {
             let attributes = NonRealTimeAttributes { importance: Importance::MOST, validity: Some(deadline) };
@@ -81,10 +102,13 @@ impl Node {
         let config = NodeConfig {
             tx_node: (first & 1 != 0).then_some(TxNode::new(1).unwrap()),
             clock: SyncConfig { rank: Rank::new(first >> 4), ..SyncConfig::DEFAULT },
+            admission: (first & 4 != 0).then_some(&PLAN),
             ..NodeConfig::new(uid(first))
         };
-        let broker = (first & 2 != 0)
-            .then(|| Broker::new(uid(first), BrokerTiming::DEFAULT, Nodes::new(), Subjects::new()));
+        let broker = (first & 2 != 0).then(|| {
+            let broker = Broker::new(uid(first), BrokerTiming::DEFAULT, Nodes::new(), Subjects::new());
+            AdmittingBroker::new(broker, config.admission, AdmissionTiming::DEFAULT)
+        });
         let services = Services::new(&config, &CALENDAR, broker, Instant::EPOCH).unwrap();
         Self {
             half: EventHalf::new(
@@ -212,10 +236,10 @@ impl Node {
 /// Some frames are turned into events of the node's channels.
 fn near_events(frame: Frame) -> Frame {
     let (etag, priority) = match frame.id.etag().get() {
-        20 => (CALENDAR.slots()[0].etag, Priority::HARD),
-        21 => (CALENDAR.slots()[1].etag, Priority::HARD),
-        22 => (Etag::BOUND_LAST, Priority::SOFT_MOST_URGENT),
-        23 => (Etag::new(Etag::BOUND_LAST.get() - 1).unwrap(), Priority::LEAST),
+        22 => (CALENDAR.slots()[0].etag, Priority::HARD),
+        23 => (CALENDAR.slots()[1].etag, Priority::HARD),
+        24 => (Etag::BOUND_LAST, Priority::SOFT_MOST_URGENT),
+        25 => (Etag::new(Etag::BOUND_LAST.get() - 1).unwrap(), Priority::LEAST),
         _ => return frame,
     };
     let tx_node = tx_node(frame.id.tx_node().get() % 4).unwrap_or(TxNode::MIN);

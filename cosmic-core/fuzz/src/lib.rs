@@ -43,7 +43,7 @@ impl<'a> Script<'a> {
     pub fn frame(&mut self) -> Option<Frame> {
         let form = self.byte()?;
         let id = if form < 0xC0 {
-            let etag = Etag::new(u16::from(form % 24))?;
+            let etag = Etag::new(u16::from(form % 26))?;
             let tx_node = self.byte()?;
             let priority = Priority::new(250 | tx_node >> 7);
             Id::new(priority, TxNode::new(tx_node & 0x7F)?, etag)
