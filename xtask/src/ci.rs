@@ -52,6 +52,7 @@ pub(crate) fn task(workspace: &Workspace) -> Result<ExitCode> {
     tally.add(suite::emulated(workspace, &way));
     tally.add(walk::test(workspace));
     tally.add(short_demo(workspace));
+    tally.add(demo::short_wan(workspace));
     tally.add(bit_rates::test(workspace));
     Ok(tally.conclude())
 }

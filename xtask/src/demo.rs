@@ -10,9 +10,11 @@ use cosmic_commands::wan;
 
 use crate::apps;
 use crate::images;
+use crate::linux;
 use crate::plan;
 use crate::run::{self, step};
 use crate::setup;
+use crate::tally::Tally;
 use crate::workspace::Workspace;
 
 /// What the demo is called with.
@@ -31,8 +33,24 @@ pub(crate) fn task(workspace: &Workspace, arguments: &Arguments) -> Result<ExitC
     code.map(ExitCode::from)
 }
 
-/// The demo of the gateway. As the tests of the gateway it is built without release, so that zenoh is built once.
+/// The demo of the gateway.
 pub(crate) fn run_wan(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
+    let build = || {
+        for package in ["cosmic-serve", "cosmic-wan-demo"] {
+            let mut program = workspace.cargo();
+            program.args(["build", "--package", package, "--bins"]);
+            step(&format!("building {package}"), || run::run(&mut program))?;
+        }
+        Ok(())
+    };
+    run_wan_built(workspace, arguments, build)
+}
+
+fn run_wan_built(
+    workspace: &Workspace,
+    arguments: &[String],
+    build: impl FnOnce() -> Result<()>,
+) -> Result<u8> {
     let options = match wan::Options::read(arguments) {
         Ok(options) => options,
         Err(refusal) => {
@@ -45,18 +63,27 @@ pub(crate) fn run_wan(workspace: &Workspace, arguments: &[String]) -> Result<u8>
         Some(images) => images,
         None => images::kept(workspace, &setup::prepare(&[])?, &cluster, &[])?.0,
     };
-    for package in ["cosmic-serve", "cosmic-wan-demo"] {
-        let mut program = workspace.cargo();
-        program.args(["build", "--package", package, "--bins"]);
-        step(&format!("building {package}"), || run::run(&mut program))?;
-    }
+    build()?;
     let program = |name: &str| workspace.target_dir().join("debug").join(format!("{name}{EXE_SUFFIX}"));
-    let mut demo = Command::new(program("wan-demo"));
+    let mut demo = Command::new(program(WAN_DEMO));
     demo.arg("--cluster").arg(cluster).arg("--images").arg(images);
-    demo.arg("--server").arg(program("serve-emulated")).args(of_the_demo(arguments));
+    demo.arg("--server").arg(program(SERVER)).args(of_the_demo(arguments));
     let status = run::status(&mut demo)?;
     Ok(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
 }
+
+/// The demo of the gateway for some seconds. It judges itself: nothing stale, and what crosses, crosses.
+pub(crate) fn short_wan(workspace: &Workspace) -> Result<Tally> {
+    let out = workspace.target_dir().join("wan-demo-of-tests");
+    let mut arguments: Vec<String> = SHORT.map(str::to_owned).into();
+    arguments.extend(["--out".to_owned(), out.display().to_string()]);
+    let build = || linux::build(workspace, &[WAN_DEMO, SERVER]);
+    Ok(Tally::one(run_wan_built(workspace, &arguments, build)? == 0))
+}
+
+const WAN_DEMO: &str = "wan-demo";
+const SERVER: &str = "serve-emulated";
+const SHORT: [&str; 6] = ["--cut", "2", "--around", "1", "--rounds", "20"];
 
 /// Runs ELF files that a user names. Their exit code is that of the demo.
 pub(crate) fn run_elf_files(workspace: &Workspace, arguments: &Arguments) -> Result<ExitCode> {

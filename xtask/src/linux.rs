@@ -43,6 +43,16 @@ pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
     step("testing what runs on Linux", || cargo_test(&mut command))
 }
 
+/// Builds programs of theirs as their tests are built, so that zenoh is not built once more for these.
+pub(crate) fn build(workspace: &Workspace, programs: &[&str]) -> Result<()> {
+    let mut command = workspace.cargo();
+    command.arg("build").args(PACKAGES).arg("--tests");
+    for program in programs {
+        command.args(["--bin", program]);
+    }
+    step("building what runs on Linux, and its tests", || run::run(&mut command))
+}
+
 /// Clippy and documentation.
 pub(crate) fn check(workspace: &Workspace) -> Result<Tally> {
     let mut clippy = workspace.cargo();

@@ -43,6 +43,8 @@ enum Part {
     Host,
     /// The node on Linux, the gateway, and the `cosmic` command.
     Linux,
+    /// The demo of the gateway, for some seconds.
+    Wan,
     /// What the planner exports, with a C compiler, Python, cantools and Wireshark.
     Tools,
     /// The Python package: built, installed, tested.
@@ -72,6 +74,9 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
     }
     if parts.contains(&Part::Linux) {
         tally.add(linux::test(workspace));
+    }
+    if parts.contains(&Part::Wan) {
+        tally.add(demo::short_wan(workspace));
     }
     if parts.contains(&Part::Tools) {
         tally.add(tools::test(workspace));

@@ -2,7 +2,13 @@
 //! and is cut, applications on Linux beside them.
 
 pub mod bed;
+pub mod between;
+pub mod channels;
 pub mod commands;
+pub mod failed;
+pub mod gateway;
+pub mod ground;
 pub mod picture;
 pub mod report;
 pub mod round_trips;
+pub mod served;

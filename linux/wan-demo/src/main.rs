@@ -2,28 +2,33 @@
 //!
 //! Exit code 0: all as promised. 1: not. 2: it could not be run.
 
-use std::path::Path;
+use std::future::Future;
+use std::io::Write as _;
 use std::process::ExitCode;
 use std::time::Duration as Span;
 
 use clap::Parser as _;
+use cosmic_commands::output::{self, OutputError, Pending};
 use cosmic_commands::wan::Options;
-use cosmic_gateway::keys::Name;
-use cosmic_wan_demo::bed::{Bed, Failed, Material, name};
-use cosmic_wan_demo::report::{self, Report};
-use cosmic_wan_demo::round_trips::{End, measure};
+use cosmic_wan_demo::bed::Bed;
+use cosmic_wan_demo::failed::Failed;
+use cosmic_wan_demo::gateway;
+use cosmic_wan_demo::ground::Ground;
+use cosmic_wan_demo::report::Report;
+use cosmic_wan_demo::round_trips::{End, RoundTrips, measure};
+use cosmic_wan_demo::served::Material;
 use cosmic_wan_demo::{commands, picture};
+use tokio::signal::unix::{SignalKind, signal};
 
 fn main() -> ExitCode {
     let options = Options::parse();
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
-    let ran = match runtime {
-        Ok(runtime) => runtime.block_on(run(&options)),
-        Err(error) => Err(Failed(format!("no threads: {error}"))),
+    let ran = match (&options.gateway, &options.segment) {
+        (Some(config), Some(segment)) => in_threads(gateway::be(config, segment)).map(|()| true),
+        _ => ground(&options).and_then(|ground| in_threads(until_told_to_end(&options, &ground))),
     };
     match ran {
-        Ok(report) if report.broken.is_empty() => ExitCode::SUCCESS,
-        Ok(_) => ExitCode::from(1),
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::from(1),
         Err(error) => {
             eprintln!("error: {error}");
             ExitCode::from(2)
@@ -31,21 +36,66 @@ fn main() -> ExitCode {
     }
 }
 
-async fn run(options: &Options) -> Result<Report, Failed> {
-    let written = |path: &Path, what: std::io::Result<()>| {
-        what.map_err(|error| Failed(format!("{} cannot be written: {error}", path.display())))
-    };
-    written(&options.out, std::fs::create_dir_all(&options.out))?;
+/// Before there are threads: a namespace is that of one of them.
+fn ground(options: &Options) -> Result<Ground, Failed> {
+    if options.entered {
+        Ground::entered()
+    } else if options.loopback {
+        Ok(Ground::Loopback("--loopback".to_owned()))
+    } else {
+        Ground::enter()
+    }
+}
+
+fn in_threads<T>(work: impl Future<Output = Result<T, Failed>>) -> Result<T, Failed> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
+    let runtime = runtime.map_err(|error| Failed(format!("no threads: {error}")))?;
+    let done = runtime.block_on(work);
+    // Somebody may wait for standard input.
+    runtime.shutdown_background();
+    done
+}
+
+/// Ends in order when it is told to: then nothing is left of it. Returns whether all was as promised.
+async fn until_told_to_end(options: &Options, ground: &Ground) -> Result<bool, Failed> {
+    let heard = |kind| signal(kind).map_err(|error| Failed(format!("no signals: {error}")));
+    let (mut interrupt, mut terminate) = (heard(SignalKind::interrupt())?, heard(SignalKind::terminate())?);
+    tokio::select! {
+        report = run(options, ground) => Ok(report?.broken.is_empty()),
+        _ = interrupt.recv() => Err(Failed("interrupted".to_owned())),
+        _ = terminate.recv() => Err(Failed("told to end".to_owned())),
+    }
+}
+
+async fn run(options: &Options, ground: &Ground) -> Result<Report, Failed> {
+    let files = Files::open(options).map_err(|error| Failed(error.to_string()))?;
     let missing = |what: &str| Failed(format!("say which {what}; `cargo xtask demo --wan` does"));
     let cluster = options.cluster.as_ref().ok_or_else(|| missing("cluster: --cluster FILE"))?;
     let images = options.images.as_ref().ok_or_else(|| missing("images: --images DIR"))?;
     let server = options.server.as_ref().ok_or_else(|| missing("server: --server FILE"))?;
+    // The gateways take a relative one from where their configurations are.
+    let absolute = std::path::absolute(cluster);
+    let cluster = &absolute.map_err(|error| Failed(format!("{}: {error}", cluster.display())))?;
     let material = Material { server, images, cluster };
     eprintln!("wan-demo: starting two emulated segments, two gateways, and a way between them");
     let delay = Span::from_millis(options.delay);
-    let bed = Bed::start(material, delay).await?;
+    let mut bed = Bed::start(ground, material, delay).await?;
+    eprintln!("wan-demo: between the gateways: {}", bed.between.words());
     eprintln!("wan-demo: measuring round trips");
-    let rounds = options.rounds;
+    let round_trips = round_trips(&bed, options.rounds).await?;
+    eprintln!("wan-demo: commands, and a cut of {} s", options.cut);
+    let (around, cut) = (Span::from_secs(options.around), Span::from_secs(options.cut));
+    let story = commands::tell(&mut bed, around, cut).await?;
+    let stood = [&bed.west, &bed.east].map(|segment| (segment.name.to_owned(), segment.stood())).into();
+    let (outcomes, delay) = (bed.outcomes().await?, delay.as_secs_f64() * 1e3);
+    let report = Report::new(bed.between.words(), round_trips, outcomes, story, stood, delay);
+    print!("{report}");
+    let image = files.fill(&report).map_err(|error| Failed(error.to_string()))?;
+    println!("picture: {image}");
+    Ok(report)
+}
+
+async fn round_trips(bed: &Bed, rounds: u32) -> Result<Vec<RoundTrips>, Failed> {
     let paths = [
         ("CAN: node, bus, node", End::Segment(bed.west.node(61)?), End::Segment(bed.west.node(62)?)),
         ("CAN to IP: node, bus, gateway, desk", End::Segment(bed.west.node(63)?), End::Ip(bed.desk.clone())),
@@ -55,30 +105,34 @@ async fn run(options: &Options) -> Result<Report, Failed> {
             End::Segment(bed.east.node(66)?),
         ),
     ];
-    let mut round_trips = Vec::new();
+    let mut all = Vec::new();
     for (path, near, far) in paths {
-        round_trips.push(measure(path, near, far, rounds).await?);
+        all.push(measure(path, near, far, rounds).await?);
     }
-    eprintln!("wan-demo: commands, and a cut of {} s", options.cut);
-    let story = commands::tell(&bed, AROUND, Span::from_secs(options.cut)).await?;
-    let stood = [&bed.west, &bed.east];
-    let stood = stood.map(|segment| (segment.name.to_owned(), segment.stood())).into();
-    let mut outcomes = Vec::new();
-    for (gateway, segment) in [(&bed.of_west, "west"), (&bed.of_east, "east")] {
-        let segment: Name = name(segment)?;
-        outcomes.extend(report::outcomes(gateway, &segment));
-    }
-    let report = Report::new(round_trips, outcomes, story, stood, delay.as_secs_f64() * 1e3);
-    let image = options.out.join("cut.svg");
-    written(&image, std::fs::write(&image, picture::draw(&report.story)))?;
-    if let Some(json) = &options.json {
-        let text = serde_json::to_string_pretty(&report).map_err(|error| Failed(error.to_string()))?;
-        written(json, std::fs::write(json, text + "\n"))?;
-    }
-    print!("{report}");
-    println!("picture: {}", image.display());
-    Ok(report)
+    Ok(all)
 }
 
-/// Before and after the cut.
-const AROUND: Span = Span::from_secs(4);
+/// What the demo writes: opened before the work, so that it fails then.
+struct Files {
+    image: Pending,
+    json: Option<Pending>,
+}
+
+impl Files {
+    fn open(options: &Options) -> Result<Self, OutputError> {
+        output::directory(&options.out)?;
+        let image = Pending::create(options.out.join("cut.svg"), "name another directory with --out")?;
+        let open = |path| Pending::create(path, "name another file with --json");
+        Ok(Self { image, json: options.json.as_ref().map(open).transpose()? })
+    }
+
+    /// Returns where the picture is.
+    fn fill(mut self, report: &Report) -> Result<String, Box<dyn std::error::Error>> {
+        if let Some(mut json) = self.json {
+            writeln!(json, "{}", serde_json::to_string_pretty(report)?)?;
+            json.finish()?;
+        }
+        write!(self.image, "{}", picture::draw(&report.story))?;
+        Ok(self.image.finish()?.display().to_string())
+    }
+}

@@ -2,9 +2,6 @@
 
 use std::fmt;
 
-use cosmic_gateway::Gateway;
-use cosmic_gateway::counters::{Direction, Outcome};
-use cosmic_gateway::keys::Name;
 use serde::Serialize;
 
 use crate::commands::Story;
@@ -13,6 +10,8 @@ use crate::round_trips::RoundTrips;
 /// What the demo found.
 #[derive(Clone, PartialEq, Debug, Serialize)]
 pub struct Report {
+    /// Where the gateways stood.
+    pub network: String,
     /// Table 5 of Kaiser and Brudna, for ours.
     pub round_trips: Vec<RoundTrips>,
     /// What became of events, by gateway and direction; outcomes that did not happen are left out.
@@ -27,23 +26,10 @@ pub struct Report {
     pub broken: Vec<String>,
 }
 
-/// What happened to events at a gateway.
-pub fn outcomes(gateway: &Gateway, segment: &Name) -> Vec<(String, u64)> {
-    let mut all = Vec::new();
-    let directions = [(Direction::Out, "out of"), (Direction::In, "into")];
-    for (direction, word) in directions {
-        let Some(counters) = gateway.counters(segment, direction) else { continue };
-        all.extend(Outcome::ALL.iter().map(|it| (format!("{word} {segment}: {it:?}"), counters.get(*it))));
-    }
-    let of_ip = gateway.unassigned();
-    all.extend(Outcome::ALL.iter().map(|it| (format!("from IP at {segment}: {it:?}"), of_ip.get(*it))));
-    all.retain(|(_, count)| *count > 0);
-    all
-}
-
 impl Report {
     /// Judges.
     pub fn new(
+        network: &str,
         round_trips: Vec<RoundTrips>,
         outcomes: Vec<(String, u64)>,
         story: Story,
@@ -68,12 +54,13 @@ impl Report {
         if round_trips.iter().any(|path| path.count < path.lost) {
             broken.push("most round trips of a path did not come back".to_owned());
         }
-        Self { round_trips, outcomes, story, stood, delay, broken }
+        Self { network: network.to_owned(), round_trips, outcomes, story, stood, delay, broken }
     }
 }
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "Between the gateways: {}\n", self.network)?;
         writeln!(
             f,
             "Round trips in milliseconds, the way between the gateways {:.1} ms each way",

@@ -10,7 +10,8 @@ use cosmic_gateway::ip;
 use cosmic_linux::Node;
 use serde::Serialize;
 
-use crate::bed::{COMMAND_ETAG, Failed};
+use crate::channels::COMMAND_ETAG;
+use crate::failed::Failed;
 
 const QUALITY: SoftAttributes =
     SoftAttributes { deadline: Duration::from_millis(500), validity: Duration::from_millis(1000) };

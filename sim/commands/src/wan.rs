@@ -21,6 +21,10 @@ pub struct Options {
     #[arg(long, value_name = "S", default_value = "10", value_parser = within(1..=600_u64), allow_negative_numbers = true)]
     pub cut: u64,
 
+    /// For how many seconds it is open before and after that
+    #[arg(long, value_name = "S", default_value = "4", value_parser = within(0..=600_u64), allow_negative_numbers = true)]
+    pub around: u64,
+
     /// How long that way takes in each direction, in milliseconds
     #[arg(long, value_name = "MS", default_value = "5", value_parser = within(0..=100_u64), allow_negative_numbers = true)]
     pub delay: u64,
@@ -28,6 +32,10 @@ pub struct Options {
     /// Round trips to measure on each path
     #[arg(long, value_name = "N", default_value = "200", value_parser = within(1..=10_000_u32), allow_negative_numbers = true)]
     pub rounds: u32,
+
+    /// Join the gateways by the loopback interface, also where each could have a network namespace of its own
+    #[arg(long)]
+    pub loopback: bool,
 
     /// Also write the report as JSON
     #[arg(long, value_name = "FILE")]
@@ -48,6 +56,18 @@ pub struct Options {
     /// The program that serves emulated segments
     #[arg(long, value_name = "FILE", hide = true)]
     pub server: Option<PathBuf>,
+
+    /// The program runs in a network namespace of its own
+    #[arg(long, hide = true)]
+    pub entered: bool,
+
+    /// Be the gateway with this configuration
+    #[arg(long, value_name = "FILE", hide = true, requires = "segment")]
+    pub gateway: Option<PathBuf>,
+
+    /// Of this segment
+    #[arg(long, value_name = "NAME", hide = true, requires = "gateway")]
+    pub segment: Option<String>,
 }
 
 impl Options {
@@ -63,7 +83,8 @@ impl Options {
 const NOTES: &str = "\
 Sensor, brake and diagnostics run in the west, another brake in the east, at the speed of the wall clock.
 The bus in the east gets temperatures and brake forces from the west; wheel speeds are hard real-time and do not cross.
-All traffic stays on the loopback interface.
+Each gateway stands in a network namespace of its own, where the kernel allows that and `unshare` and `ip` are there, else
+both on the loopback interface; no traffic leaves this machine.
 
 Exit code: 0 all as promised, 1 not, 2 it could not be run.";
 

@@ -4,7 +4,7 @@
 //! What TCP makes of a lost packet is a pause, and then all at once; of a cut, either the same after a long time, or a
 //! connection that is gone. So a [`Way`] can delay each direction, [stall](State::Stalled), and be [cut](State::Cut).
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -59,12 +59,20 @@ impl Drop for Way {
 }
 
 impl Way {
-    /// A way to an address, from a port of its own, inside a runtime of tokio.
+    /// A way to an address, from a port of its own on the loopback interface, inside a runtime of tokio.
     ///
     /// # Errors
     /// No port is free.
     pub async fn to(target: SocketAddr) -> std::io::Result<Self> {
-        let listener = TcpListener::bind("127.0.0.1:0").await?;
+        Self::from(Ipv4Addr::LOCALHOST.into(), target).await
+    }
+
+    /// As [`to`](Self::to), from a port of this address.
+    ///
+    /// # Errors
+    /// It is no address of this machine, or no port is free.
+    pub async fn from(address: IpAddr, target: SocketAddr) -> std::io::Result<Self> {
+        let listener = TcpListener::bind((address, 0)).await?;
         let address = listener.local_addr()?;
         let delays = [AtomicU64::new(0), AtomicU64::new(0)];
         let state = watch::Sender::new(State::Open);
