@@ -8,6 +8,7 @@ use std::time::Duration as Span;
 use cosmic_core::can::Payload;
 use cosmic_linux::Subscriber;
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 use zenoh::sample::{Locality, Sample};
 
 use super::hub::Hub;
@@ -19,10 +20,18 @@ struct Ways {
     hub: Arc<Hub>,
     /// By segment: while we speak for it.
     voices: Vec<Option<Voice>>,
-    /// By segment and channel: reads it there, while somebody elsewhere wants it; `None`: it is refused.
-    readers: HashMap<(usize, usize), Option<Reader>>,
+    /// By segment and channel: while somebody elsewhere wants it, and a while longer.
+    readers: HashMap<(usize, usize), Reading>,
     /// By channel: while somebody on our segments wants it.
     from_ip: HashMap<usize, zenoh::pubsub::Subscriber<()>>,
+}
+
+/// A channel that is read on a segment.
+struct Reading {
+    /// `None`: the segment refuses it.
+    reader: Option<Reader>,
+    /// Since when nobody wants it any more.
+    unwanted_since: Option<Instant>,
 }
 
 /// A task that ends with it.
@@ -87,24 +96,32 @@ impl Ways {
 
     fn keep_reader(&mut self, segment: usize, channel: usize, elsewhere: bool) {
         let Some(outlet) = &self.hub.outlets[segment][channel] else { return };
-        let (place, wanted) = ((segment, channel), elsewhere || outlet.wanted.load(Ordering::Relaxed));
-        if !wanted {
+        let place = (segment, channel);
+        if elsewhere || outlet.wanted.load(Ordering::Relaxed) {
+            let reader = self.readers.remove(&place).map(|before| before.reader);
+            let is_told = reader.is_some();
+            let reader = reader.flatten().or_else(|| self.read(segment, channel, is_told));
+            self.readers.insert(place, Reading { reader, unwanted_since: None });
+        } else if let Some(reading) = self.readers.get_mut(&place)
+            && reading.unwanted_since.get_or_insert_with(Instant::now).elapsed() >= LINGERING
+        {
             self.readers.remove(&place);
-        } else if self.readers.get(&place).is_none_or(Option::is_none) {
-            let reader = match self.hub.segments[segment].listen(channel) {
-                Ok(subscriber) => {
-                    let read = read(Arc::clone(&self.hub), segment, channel, subscriber);
-                    Some(Reader(tokio::spawn(read)))
+        }
+    }
+
+    fn read(&self, segment: usize, channel: usize, is_told: bool) -> Option<Reader> {
+        match self.hub.segments[segment].listen(channel) {
+            Ok(subscriber) => {
+                let read = read(Arc::clone(&self.hub), segment, channel, subscriber);
+                Some(Reader(tokio::spawn(read)))
+            }
+            Err(why) => {
+                let (name, of) = (&self.hub.channels[channel].name, &self.hub.segments[segment].name);
+                if !is_told {
+                    tracing::warn!("segment {of}: the channel {name:?} cannot be subscribed to: {why}");
                 }
-                Err(why) => {
-                    let (name, of) = (&self.hub.channels[channel].name, &self.hub.segments[segment].name);
-                    if !self.readers.contains_key(&place) {
-                        tracing::warn!("segment {of}: the channel {name:?} cannot be subscribed to: {why}");
-                    }
-                    None
-                }
-            };
-            self.readers.insert(place, reader);
+                None
+            }
         }
     }
 
@@ -136,5 +153,8 @@ async fn read(hub: Arc<Hub>, segment: usize, channel: usize, subscriber: Subscri
     }
 }
 
+/// So long a channel is read that nobody wants any more: what a cut keeps away is counted, and the way is open again at
+/// once behind it.
+const LINGERING: Span = Span::from_secs(60);
 /// Not every change is told of.
 const LONGEST_DELAY: Span = Span::from_secs(1);

@@ -2,13 +2,16 @@
 
 use std::net::TcpListener;
 use std::path::PathBuf;
+use std::process::{Child, Command};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration as Span;
 
 use cosmic_bus::{Bus, FaultModel};
 use cosmic_core::can::{BitRate, Etag, Frame, TxNode};
 use cosmic_core::event_layer::{Channel, Depth, Policy, SoftAttributes};
 use cosmic_core::protocol::{Class, LayoutHash};
-use cosmic_core::time::Duration;
+use cosmic_core::time::{Duration, Instant};
 use cosmic_core::{NodeUid, Subject};
 use cosmic_gateway::Gateway;
 use cosmic_gateway::clock::Reading;
@@ -18,6 +21,7 @@ use cosmic_gateway::encoding::{Envelope, Sender};
 use cosmic_gateway::keys::{Keys, Name, SenderKey};
 use cosmic_linux::link::segment::{Options, SegmentLink, SimulatedSegment, serve};
 use cosmic_linux::{Node, Tap, What};
+use cosmic_wan::Way;
 use tokio::task::JoinHandle;
 use zenoh::Session;
 use zenoh::query::Queryable;
@@ -88,12 +92,17 @@ impl Segment {
 
 /// The events' frames that a tap has heard so far.
 pub(crate) fn frames(tap: &Tap) -> Vec<Frame> {
+    frames_at(tap).into_iter().map(|(_, frame)| frame).collect()
+}
+
+/// And when, by the tap's clock.
+pub(crate) fn frames_at(tap: &Tap) -> Vec<(Instant, Frame)> {
     let frame = |tapped: cosmic_linux::Tapped| match tapped.what {
-        What::Frame(frame) => Some(frame),
+        What::Frame(frame) => Some((tapped.at, frame)),
         _ => None,
     };
     let all = std::iter::from_fn(|| tap.try_next()).filter_map(frame);
-    all.filter(|frame| !frame.id.etag().is_reserved()).collect()
+    all.filter(|(_, frame)| !frame.id.etag().is_reserved()).collect()
 }
 
 /// Those with this etag.
@@ -112,7 +121,7 @@ pub(crate) struct Setup<'a> {
     pub(crate) bus: &'a Segment,
     pub(crate) tx_node: u8,
     pub(crate) listen: u16,
-    pub(crate) connect: Option<u16>,
+    pub(crate) connect: &'a [u16],
     /// Lines of the segment's table.
     pub(crate) more: &'a str,
     pub(crate) channels: &'a str,
@@ -121,14 +130,14 @@ pub(crate) struct Setup<'a> {
 impl Setup<'_> {
     pub(crate) fn text(&self) -> String {
         let Self { segment, tx_node, listen, more, channels, .. } = self;
-        let connect = self.connect.map(|port| format!("\"tcp/127.0.0.1:{port}\"")).unwrap_or_default();
+        let connect: Vec<_> = self.connect.iter().map(|port| format!("tcp/127.0.0.1:{port}")).collect();
         let path = self.bus.path.display();
         format!(
             r#"
 network = "test"
 [ip]
 listen = ["tcp/127.0.0.1:{listen}"]
-connect = [{connect}]
+connect = {connect:?}
 [[segment]]
 name = "{segment}"
 link = "sim:{path}"
@@ -143,6 +152,54 @@ tx-node = {tx_node}
     pub(crate) async fn start(&self) -> Gateway {
         let config = Config::parse("test.toml", &self.text(), std::path::Path::new(".")).unwrap();
         Gateway::start(&config).await.unwrap()
+    }
+}
+
+/// Two segments, west and east, with a gateway each, and a way between them. East connects to west.
+pub(crate) struct Pair {
+    pub(crate) west: Segment,
+    pub(crate) east: Segment,
+    pub(crate) of_west: Gateway,
+    pub(crate) of_east: Gateway,
+    pub(crate) way: Way,
+}
+
+impl Pair {
+    /// With lines of the table of each segment. Both gateways have the same UID and TxNode, each on its bus.
+    pub(crate) async fn start(channels: &str, [of_west, of_east]: [&str; 2]) -> Self {
+        let (west, east) = (Segment::start().await, Segment::start().await);
+        let (tx_node, listen) = (100, port());
+        let setup =
+            Setup { segment: "west", bus: &west, tx_node, listen, connect: &[], more: of_west, channels };
+        let of_west = setup.start().await;
+        let way = Way::to(([127, 0, 0, 1], listen).into()).await.unwrap();
+        let (listen, connect) = (port(), &[way.address().port()]);
+        let setup = Setup { segment: "east", bus: &east, tx_node, listen, connect, more: of_east, channels };
+        let of_east = setup.start().await;
+        settled(&[(&of_west, "west"), (&of_east, "east")]).await;
+        Self { west, east, of_west, of_east, way }
+    }
+}
+
+/// A program that does not outlive its test.
+pub(crate) struct Running(pub(crate) Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Running {
+    pub(crate) fn start(command: &mut Command) -> Self {
+        Self(command.spawn().unwrap())
+    }
+
+    /// SIGKILL.
+    pub(crate) fn kill(&mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
     }
 }
 
@@ -177,6 +234,8 @@ pub(crate) struct Stranger {
     pub(crate) keys: Keys,
     pub(crate) segment: Name,
     pub(crate) sender: Sender,
+    /// In nanoseconds: how far its clock is ahead of the kernel's.
+    pub(crate) ahead: Arc<AtomicI64>,
     _clock: Queryable<()>,
     _token: zenoh::liveliness::LivelinessToken,
 }
@@ -204,13 +263,15 @@ impl Stranger {
         let session = zenoh::open(config).await.unwrap();
         let (keys, segment, sender) = (Keys::new(&name("test")), name(segment), Sender::draw());
         let me = SenderKey { segment: segment.clone(), sender };
-        let answer = |query: zenoh::query::Query| {
-            let bytes = Reading::now().0.to_be_bytes();
+        let ahead = Arc::new(AtomicI64::new(0));
+        let of_clock = Arc::clone(&ahead);
+        let answer = move |query: zenoh::query::Query| {
+            let bytes = clock_ahead(&of_clock).0.to_be_bytes();
             zenoh::Wait::wait(query.reply(query.key_expr().clone(), bytes.as_slice())).unwrap();
         };
         let clock = session.declare_queryable(keys.clock(&me)).callback(answer).await.unwrap();
         let token = session.liveliness().declare_token(keys.live(&me)).await.unwrap();
-        Self { session, keys, segment, sender, _clock: clock, _token: token }
+        Self { session, keys, segment, sender, ahead, _clock: clock, _token: token }
     }
 
     /// An event of now.
@@ -221,7 +282,7 @@ impl Stranger {
             layout: LayoutHash::UNSTATED,
             sender: self.sender,
             sequence,
-            sent_at: Reading::now(),
+            sent_at: clock_ahead(&self.ahead),
             to_deadline: Some(Duration::from_millis(500)),
             to_expiry: Some(Duration::from_millis(1000)),
             content: content.to_vec(),
@@ -236,4 +297,8 @@ impl Stranger {
         let put = self.session.put(key, bytes);
         put.congestion_control(zenoh::qos::CongestionControl::Block).await.unwrap();
     }
+}
+
+fn clock_ahead(ahead: &AtomicI64) -> Reading {
+    Reading(Reading::now().0.wrapping_add_signed(ahead.load(Ordering::Relaxed)))
 }

@@ -2,11 +2,10 @@
 
 use std::time::Duration as Span;
 
-use crate::bed::{HEAT, HEAT_TABLE, Segment, Setup, count, fifo, frames, port, settled, until, with_etag};
+use crate::bed::{HEAT, HEAT_TABLE, Pair, count, fifo, frames, until, with_etag};
 use cosmic_core::can::Etag;
 use cosmic_core::event_layer::{Event, Policy};
 use cosmic_core::time::Duration;
-use cosmic_gateway::Gateway;
 use cosmic_gateway::counters::{Direction, Outcome};
 
 const ETAG_WEST: u16 = 5000;
@@ -16,41 +15,8 @@ fn etags(heat: u16) -> String {
     format!("etags = {{ heat = {heat}, gateways = {} }}", heat + 1)
 }
 
-/// Two segments, west and east, with a gateway each.
-struct Bed {
-    west: Segment,
-    east: Segment,
-    of_west: Gateway,
-    of_east: Gateway,
-}
-
-impl Bed {
-    async fn start(channels: &str) -> Self {
-        let (west, east) = (Segment::start().await, Segment::start().await);
-        let (first, second) = (port(), port());
-        let of_west = Setup {
-            segment: "west",
-            bus: &west,
-            tx_node: 100,
-            listen: first,
-            connect: None,
-            more: &etags(ETAG_WEST),
-            channels,
-        };
-        let of_west = of_west.start().await;
-        let of_east = Setup {
-            segment: "east",
-            bus: &east,
-            tx_node: 101,
-            listen: second,
-            connect: Some(first),
-            more: &etags(ETAG_EAST),
-            channels,
-        };
-        let of_east = of_east.start().await;
-        settled(&[(&of_west, "west"), (&of_east, "east")]).await;
-        Self { west, east, of_west, of_east }
-    }
+async fn start(channels: &str) -> Pair {
+    Pair::start(channels, [&etags(ETAG_WEST), &etags(ETAG_EAST)]).await
 }
 
 fn etag(number: u16) -> Etag {
@@ -59,7 +25,7 @@ fn etag(number: u16) -> Etag {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_event_crosses_in_both_directions_under_the_etag_of_each_segment() {
-    let bed = Bed::start(HEAT_TABLE).await;
+    let bed = start(HEAT_TABLE).await;
     let (west, east) = (HEAT.with_etag(etag(ETAG_WEST)), HEAT.with_etag(etag(ETAG_EAST)));
     let tap = bed.east.tap();
     let (in_west, in_east) = (bed.west.node(1), bed.east.node(1));
@@ -127,7 +93,7 @@ async fn an_event_crosses_in_both_directions_under_the_etag_of_each_segment() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn only_what_somebody_wants_crosses_and_it_stops_when_interest_ends() {
-    let bed = Bed::start(HEAT_TABLE).await;
+    let bed = start(HEAT_TABLE).await;
     let tap = bed.east.tap();
     let (sensor, display) = (bed.west.node(1), bed.east.node(1));
     let heat = sensor.announce(&HEAT.with_etag(etag(ETAG_WEST))).unwrap();
@@ -168,7 +134,7 @@ async fn only_what_somebody_wants_crosses_and_it_stops_when_interest_ends() {
 async fn the_deadline_on_the_far_bus_is_what_is_left_of_it() {
     // So short that the priority tells it: 30 ms are 187 steps of 160 µs.
     let table = HEAT_TABLE.replace("\"500 ms\"", "\"30 ms\"");
-    let bed = Bed::start(&table).await;
+    let bed = start(&table).await;
     let (sensor, display) = (bed.west.node(1), bed.east.node(1));
     let quality = cosmic_core::event_layer::SoftAttributes {
         deadline: Duration::from_millis(30),

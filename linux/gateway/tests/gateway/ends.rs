@@ -16,7 +16,7 @@ async fn its_tasks_and_its_session_are_gone_whether_it_was_stopped_or_dropped() 
     let before = tasks();
     for stops in [true, false] {
         let listen = port();
-        let (connect, more, channels) = (None, "etags = { heat = 5000, gateways = 5001 }", HEAT_TABLE);
+        let (connect, more, channels) = (&[], "etags = { heat = 5000, gateways = 5001 }", HEAT_TABLE);
         let setup = Setup { segment: "plant", bus: &bus, tx_node: 100, listen, connect, more, channels };
         let gateway = setup.start().await;
         // Somebody subscribes, so the gateway reads the channel, and has a clock to ask.

@@ -30,7 +30,7 @@ impl Bed {
         let bus = Segment::start().await;
         let listen = port();
         let more = format!("etags = {{ heat = 5000, gateways = 5001 }}\n{more}");
-        let connect = None;
+        let connect = &[];
         let setup =
             Setup { segment: "plant", bus: &bus, tx_node: 100, listen, connect, more: &more, channels };
         let gateway = setup.start().await;

@@ -22,15 +22,8 @@ async fn a_node_on_ip_publishes_and_subscribes_as_one_on_a_segment() {
     let bus = Segment::start().await;
     let listen = port();
     let more = "etags = { heat = 5000, gateways = 5001 }";
-    let gateway = Setup {
-        segment: "plant",
-        bus: &bus,
-        tx_node: 100,
-        listen,
-        connect: None,
-        more,
-        channels: HEAT_TABLE,
-    };
+    let gateway =
+        Setup { segment: "plant", bus: &bus, tx_node: 100, listen, connect: &[], more, channels: HEAT_TABLE };
     let gateway = gateway.start().await;
     let node = Node::start(&at(listen), &name("test"), &name("desk")).await.unwrap();
     let heat = HEAT.with_etag(Etag::new(5000).unwrap());

@@ -1,6 +1,7 @@
 //! The gateway, from outside: in one program, for each that links zenoh takes its time.
 
 mod bed;
+mod chaos;
 mod config;
 mod crossing;
 mod cuts;

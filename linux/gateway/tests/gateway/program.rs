@@ -2,10 +2,10 @@
 
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::Duration as Span;
 
-use crate::bed::{HEAT_TABLE, Segment, Setup, port, until};
+use crate::bed::{HEAT_TABLE, Running, Segment, Setup, port, until};
 use cosmic_core::event_layer::{Channel, Importance, NonRealTimeAttributes};
 use cosmic_core::{NodeUid, Subject};
 use cosmic_gateway::table::Table;
@@ -20,37 +20,16 @@ fn program(config: &Path) -> Command {
     command
 }
 
-/// Does not outlive its test.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-    }
-}
-
-impl Running {
-    fn start(command: &mut Command) -> Self {
-        Self(command.spawn().unwrap())
-    }
-
-    /// SIGKILL.
-    fn kill(&mut self) {
-        self.0.kill().unwrap();
-        self.0.wait().unwrap();
-    }
-
-    /// SIGTERM. Returns what it logged, if it ended in order.
-    fn terminate(mut self) -> String {
-        let id = self.0.id().to_string();
-        assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
-        let mut log = String::new();
-        // To the end, which is that of the program.
-        std::io::Read::read_to_string(&mut self.0.stderr.take().unwrap(), &mut log).unwrap();
-        let status = self.0.wait().unwrap();
-        assert!(status.success(), "{status}: {log}");
-        log
-    }
+/// SIGTERM. Returns what it logged, if it ended in order.
+fn terminate(mut program: Running) -> String {
+    let id = program.0.id().to_string();
+    assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
+    let mut log = String::new();
+    // To the end, which is that of the program.
+    std::io::Read::read_to_string(&mut program.0.stderr.take().unwrap(), &mut log).unwrap();
+    let status = program.0.wait().unwrap();
+    assert!(status.success(), "{status}: {log}");
+    log
 }
 
 /// A channel without a fixed etag.
@@ -65,7 +44,7 @@ async fn a_broker_that_is_killed_again_and_again_keeps_its_word() {
     let folder = tempfile::tempdir().unwrap();
     let table = folder.path().join("table");
     let more = format!("broker = {:?}", table.display().to_string());
-    let (listen, connect, channels) = (port(), None, HEAT_TABLE);
+    let (listen, connect, channels) = (port(), &[], HEAT_TABLE);
     let setup = Setup { segment: "plant", bus: &bus, tx_node: 100, listen, connect, more: &more, channels };
     let file = folder.path().join("gateway.toml");
     std::fs::write(&file, setup.text()).unwrap();
@@ -105,7 +84,7 @@ async fn a_broker_that_is_killed_again_and_again_keeps_its_word() {
         publishers.iter().all(|it| stored.contains(&it.subject().to_string()))
     })
     .await;
-    tokio::task::block_in_place(|| child.terminate());
+    tokio::task::block_in_place(|| terminate(child));
     let stored = Table::open(&table).unwrap();
     for publisher in &publishers {
         let entry = (publisher.subject(), publisher.node().etag_of(publisher.subject()).unwrap());
@@ -121,7 +100,7 @@ async fn systemd_hears_that_it_runs_that_it_lives_and_that_it_ends() {
     let bus = Segment::start().await;
     let folder = tempfile::tempdir().unwrap();
     let metrics = port();
-    let (listen, connect, more, channels) = (port(), None, "", HEAT_TABLE);
+    let (listen, connect, more, channels) = (port(), &[], "", HEAT_TABLE);
     let setup = Setup { segment: "plant", bus: &bus, tx_node: 100, listen, connect, more, channels };
     let text = setup.text().replace("[ip]", &format!("metrics = \"127.0.0.1:{metrics}\"\n[ip]"));
     let file = folder.path().join("gateway.toml");
@@ -151,7 +130,7 @@ async fn systemd_hears_that_it_runs_that_it_lives_and_that_it_ends() {
     assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
     let line = "cosmic_gateway_events_total{segment=\"plant\",direction=\"In\",outcome=\"Expired\"} 0";
     assert!(answer.contains(line) && answer.trim_end().ends_with("# EOF"), "{answer}");
-    let log = tokio::task::block_in_place(|| child.terminate());
+    let log = tokio::task::block_in_place(|| terminate(child));
     let told = std::iter::repeat_with(hear).take(50).any(|text| text.contains("STOPPING=1"));
     assert!(told);
     assert!(log.contains("ended in order"), "{log}");
@@ -164,7 +143,7 @@ async fn what_is_wrong_is_told_in_one_line() {
     let file = folder.path().join("gateway.toml");
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap();
-    let (connect, channels) = (None, HEAT_TABLE);
+    let (connect, channels) = (&[], HEAT_TABLE);
     let setup = |listen: u16, more: &'static str| {
         Setup { segment: "plant", bus: &bus, tx_node: 100, listen, connect, more, channels }.text()
     };

@@ -1,9 +1,12 @@
 //! Several gateways of a segment, and rings: an event once.
 
 use std::collections::BTreeSet;
+use std::process::Command;
 use std::time::Duration as Span;
 
-use crate::bed::{HEAT, HEAT_TABLE, Segment, Setup, Stranger, count, fifo, frames, name, port, until};
+use crate::bed::{
+    HEAT, HEAT_TABLE, Running, Segment, Setup, Stranger, count, fifo, frames, name, port, until,
+};
 use cosmic_core::can::{Etag, Frame};
 use cosmic_core::event_layer::{Channel, SoftAttributes};
 use cosmic_core::time::Duration;
@@ -13,16 +16,6 @@ use cosmic_gateway::counters::{Direction, Outcome};
 use cosmic_linux::Subscriber;
 
 const ETAGS: &str = "etags = { heat = 5000, gateways = 5001 }";
-
-/// At the end of its test at the latest.
-struct Killed(std::process::Child);
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
 
 fn drain(subscriber: &Subscriber<i16>, into: &mut Vec<i16>) {
     into.extend(std::iter::from_fn(|| subscriber.try_next()).map(|event| event.content));
@@ -40,7 +33,7 @@ async fn another_gateway_takes_over_and_states_what_was_perhaps_lost() {
     let ports = [port(), port(), port()];
     let (more, channels) = (ETAGS, HEAT_TABLE);
     let of_east =
-        Setup { segment: "east", bus: &east, tx_node: 100, listen: ports[0], connect: None, more, channels };
+        Setup { segment: "east", bus: &east, tx_node: 100, listen: ports[0], connect: &[], more, channels };
     let of_east = of_east.start().await;
     // The first is a program of its own, to be killed; its TxNode is the lower one.
     let first = Setup {
@@ -48,14 +41,13 @@ async fn another_gateway_takes_over_and_states_what_was_perhaps_lost() {
         bus: &west,
         tx_node: 100,
         listen: ports[1],
-        connect: Some(ports[0]),
+        connect: &ports[..1],
         more,
         channels,
     };
     let file = folder.path().join("first.toml");
     std::fs::write(&file, first.text()).unwrap();
-    let mut program =
-        Killed(std::process::Command::new(env!("CARGO_BIN_EXE_cosmic-gateway")).arg(&file).spawn().unwrap());
+    let mut program = Running::start(Command::new(env!("CARGO_BIN_EXE_cosmic-gateway")).arg(&file));
     let heat = HEAT.with_etag(Etag::new(5000).unwrap());
     let publisher = west.node(1).announce(&heat).unwrap();
     let subscriber = east.node(1).subscribe(&heat, fifo(255)).unwrap();
@@ -74,7 +66,7 @@ async fn another_gateway_takes_over_and_states_what_was_perhaps_lost() {
         bus: &west,
         tx_node: 101,
         listen: ports[2],
-        connect: Some(ports[0]),
+        connect: &ports[..1],
         more,
         channels,
     };
@@ -87,7 +79,7 @@ async fn another_gateway_takes_over_and_states_what_was_perhaps_lost() {
     })
     .await;
     assert!(!second.leads(&name("west")));
-    program.0.kill().unwrap();
+    program.kill();
     let killed_at = number;
     until("the second forwards", || {
         number += 1;
@@ -109,7 +101,7 @@ async fn another_gateway_takes_over_and_states_what_was_perhaps_lost() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn who_leads_for_another_network_has_forwarded_nothing_of_ours() {
     let bus = Segment::start().await;
-    let (listen, connect, channels) = (port(), None, HEAT_TABLE);
+    let (listen, connect, channels) = (port(), &[], HEAT_TABLE);
     let tap = bus.tap();
     let setup = Setup { segment: "west", bus: &bus, tx_node: 101, listen, connect, more: ETAGS, channels };
     let gateway = setup.start().await;

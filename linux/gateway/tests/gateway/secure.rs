@@ -56,7 +56,7 @@ impl Authority {
 async fn gateway(bus: &Segment, listen: u16, tls: &Tls) -> Gateway {
     let more = "etags = { heat = 5000, gateways = 5001 }";
     let setup =
-        Setup { segment: "plant", bus, tx_node: 100, listen, connect: None, more, channels: HEAT_TABLE };
+        Setup { segment: "plant", bus, tx_node: 100, listen, connect: &[], more, channels: HEAT_TABLE };
     let Tls { authority, certificate, key } = tls;
     let tables = format!(
         r#"[ip.tls]
