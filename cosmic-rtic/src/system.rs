@@ -5,7 +5,7 @@ use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
 use cosmic_core::can::TxNode;
 use cosmic_core::plan::NodePlan;
 use cosmic_core::services::{
-    AdmittingBroker, ClockService, Hosted, News, NodeConfig, NodeServices, Services,
+    AdmittingBroker, ClockService, Hosted, NamingService, News, NodeConfig, NodeServices, Services,
 };
 use cosmic_core::sync::SyncConfigError;
 use cosmic_core::time::{GlobalClock, Instant};
@@ -150,6 +150,30 @@ impl Timed for ClockService {
     }
 }
 
+/// A node that claims the TxNode of its plan. In a [`start_with`](crate::start_with) it can be one that asks the broker
+/// for one. It has no clock, and so it keeps silent in hard real-time.
+impl<const CHANNELS: usize> Timed for NamingService<CHANNELS> {
+    fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
+        // It cannot keep to these.
+        if node.seal.is_some() || node.admission.is_some() {
+            return Err(StartError::Services);
+        }
+        Ok(Self::fixed(node.uid, node.tx_node, 0, now))
+    }
+
+    fn clock(&self) -> GlobalClock {
+        GlobalClock::unsynchronised()
+    }
+
+    fn tx_node(&self, _: &NodePlan) -> Option<TxNode> {
+        self.claimed()
+    }
+
+    fn is_bound(&self, subject: Subject) -> bool {
+        self.tx_node().is_some() && self.etag_of(subject).is_some()
+    }
+}
+
 /// A cluster without hard real-time, or of one node: local time is global time.
 impl Timed for () {
     fn planned(_: &NodePlan, _: Instant) -> Result<Self, StartError> {
@@ -167,6 +191,8 @@ impl Timed for () {
 pub enum StartError {
     /// The services need clock synchronisation, and the plan says that the cluster has none.
     NoSync,
+    /// The plan wants a seal or admission to be kept to, which these services cannot.
+    Services,
     /// The settings of clock synchronisation are refused.
     Sync(SyncConfigError),
 }

@@ -50,8 +50,9 @@ pub(crate) fn build(
                 "note: `{name}` has no feature `{OBSERVED}`; without an observer there is little to judge"
             );
         }
-        let built =
-            step(&format!("building the images of `{name}`"), || images::build(command, &name, &programs))?;
+        let built = step(&format!("building the images of `{name}`"), || {
+            images::build(command, &name, PROFILE, &programs)
+        })?;
         apps.compiled += built.compiled;
         apps.directory = built.directory().map_or(apps.directory, Path::to_owned);
     }

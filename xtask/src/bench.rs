@@ -92,7 +92,7 @@ fn measure(workspace: &Workspace, way: &TargetWay) -> Result<Vec<Measurement>> {
     let limits: Vec<Limit> =
         serde_json::from_str(&text).with_context(|| format!("{} holds no limits", path.display()))?;
     let built = step("building the measurement", || {
-        images::build(way.cargo(workspace, "build"), qemu::PACKAGE, &[PROGRAM.to_owned()])
+        images::build(way.cargo(workspace, "build"), qemu::PACKAGE, images::PROFILE, &[PROGRAM.to_owned()])
     })?;
     let image = built.images.get(PROGRAM).context("the build gave no measurement")?;
     let printed = step("measuring in QEMU", || qemu::measure(image))?;

@@ -75,7 +75,7 @@ fn clippy(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     tally.add(check("clippy on the emulated cluster", &mut emulator));
     // Debian has no clippy for its compiler; there the compiler's own warnings must do.
     if *way == TargetWay::Rustup {
-        for package in ["firmware", qemu::PACKAGE] {
+        for package in ["firmware", images::SMALL, qemu::PACKAGE] {
             let mut target = way.cargo(workspace, "clippy");
             target.args(["--package", "boards", "--package", package, "--", "--deny", "warnings"]);
             tally.add(check(&format!("clippy on {package}"), &mut target));
@@ -102,7 +102,8 @@ fn documentation(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let cluster = plan::find(plan::example(workspace))?;
     let mut warnings = images::firmware(workspace, way, &cluster, &[])?.warnings;
-    warnings += images::build(way.cargo(workspace, "build"), qemu::PACKAGE, &[])?.warnings;
+    warnings += images::build(way.cargo(workspace, "build"), qemu::PACKAGE, images::PROFILE, &[])?.warnings;
+    warnings += images::small(workspace, way, &[])?.warnings;
     if warnings > 0 {
         bail!("{warnings} warnings about code for the target; see above");
     }
@@ -110,10 +111,10 @@ fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 }
 
 fn sizes(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let images = images::firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])?.images;
+    let images = images::measured(workspace, way)?;
     let sizes = size::measure_all(&images)?;
     print!("{}", size::table(&sizes));
-    panics::check(&images, false)?;
+    panics::check(&images::searched(workspace, way)?, false)?;
     // The baseline is of one compiler's code; another one's may differ by some per cent.
     if *way == TargetWay::Rustup {
         size::check(workspace, &sizes)?;

@@ -46,8 +46,32 @@ pub(crate) fn firmware(
         let mut command = way.cargo(workspace, "build");
         command.env(plan::VARIABLE, cluster);
         plan::follow(&mut command, cluster)?;
-        build(command, "firmware", names)
+        build(command, "firmware", PROFILE, names)
     })
+}
+
+/// Builds the nodes whose size is a goal, with these features.
+pub(crate) fn small(workspace: &Workspace, way: &TargetWay, features: &[&str]) -> Result<Built> {
+    step("building the small images", || {
+        let mut command = way.cargo(workspace, "build");
+        command.arg(format!("--features={}", features.join(",")));
+        build(command, SMALL, PROFILE_OF_SMALL, &[])
+    })
+}
+
+/// The images whose size is measured: those of the example's firmware, and the small ones but for the hub.
+pub(crate) fn measured(workspace: &Workspace, way: &TargetWay) -> Result<Images> {
+    let mut images = firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])?.images;
+    images.extend(small(workspace, way, &[])?.images.into_iter().filter(|(name, _)| name != "hub"));
+    Ok(images)
+}
+
+/// The images that are searched for panics: of each it can be told what it says, which in a small one costs flash. The
+/// small ones stand where those without messages do, until these are built again.
+pub(crate) fn searched(workspace: &Workspace, way: &TargetWay) -> Result<Images> {
+    let mut images = firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])?.images;
+    images.extend(small(workspace, way, &["last-words"])?.images);
+    Ok(images)
 }
 
 /// Builds images as [`firmware`] does, and keeps a copy of them in a folder of the cluster's own: the next build, for
@@ -69,11 +93,14 @@ pub(crate) fn kept(
     Ok((folder, built))
 }
 
-/// These ELF files, by their paths; if there are none, the images of the example's firmware, which are built.
-pub(crate) fn given_or_built(workspace: &Workspace, files: &[PathBuf]) -> Result<Images> {
+/// These ELF files, by their paths; if there are none, those that `build` gives.
+pub(crate) fn given_or_built(
+    workspace: &Workspace,
+    files: &[PathBuf],
+    build: fn(&Workspace, &TargetWay) -> Result<Images>,
+) -> Result<Images> {
     if files.is_empty() {
-        let way = setup::prepare(&[])?;
-        return Ok(firmware(workspace, &way, &plan::find(plan::example(workspace))?, &[])?.images);
+        return build(workspace, &setup::prepare(&[])?);
     }
     Ok(files.iter().map(|file| (file.display().to_string(), file.clone())).collect())
 }
@@ -82,8 +109,8 @@ pub(crate) fn given_or_built(workspace: &Workspace, files: &[PathBuf]) -> Result
 ///
 /// Cargo shows a warning about a package of the workspace again when it has nothing to compile, so that
 /// the count is that of the code as it stands.
-pub(crate) fn build(mut command: Command, package: &str, names: &[String]) -> Result<Built> {
-    command.args(["--package", package, "--profile", PROFILE]);
+pub(crate) fn build(mut command: Command, package: &str, profile: &str, names: &[String]) -> Result<Built> {
+    command.args(["--package", package, "--profile", profile]);
     let in_colour = std::io::stderr().is_terminal();
     command.arg(if in_colour {
         "--message-format=json-diagnostic-rendered-ansi"
@@ -149,6 +176,9 @@ impl CargoLine {
 
 /// The profile of what is flashed, in the workspace's manifest.
 pub(crate) const PROFILE: &str = "firmware";
+/// The package of the nodes whose size is a goal, and their profile.
+pub(crate) const SMALL: &str = "small";
+const PROFILE_OF_SMALL: &str = "firmware-small";
 
 #[cfg(test)]
 mod tests {

@@ -51,7 +51,7 @@ struct Places {
 
 /// Builds the images and shows the places.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
-    let images = images::given_or_built(workspace, &options.files)?;
+    let images = images::given_or_built(workspace, &options.files, images::searched)?;
     check(&images, options.all)
 }
 

@@ -18,8 +18,9 @@ use crate::workspace::Workspace;
 /// Builds and runs all tests of `qemu-tests`.
 pub(crate) fn test(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let directory = workspace.root().join(PACKAGE);
-    let built =
-        step("building the QEMU tests", || images::build(way.cargo(workspace, "build"), PACKAGE, &[]))?;
+    let built = step("building the QEMU tests", || {
+        images::build(way.cargo(workspace, "build"), PACKAGE, images::PROFILE, &[])
+    })?;
     step("running the QEMU tests", || {
         let mut tally = Tally::default();
         for (name, image) in &built.images {

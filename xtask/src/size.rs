@@ -63,7 +63,7 @@ pub(crate) type Sizes = BTreeMap<String, ImageSize>;
 
 /// Builds the images and shows their sizes.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
-    let images = images::given_or_built(workspace, &options.files)?;
+    let images = images::given_or_built(workspace, &options.files, images::measured)?;
     let sizes = measure_all(&images)?;
     if options.json {
         println!("{}", serde_json::to_string_pretty(&sizes)?);

@@ -128,7 +128,9 @@ pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> 
     let directory = built.directory().context("the firmware has no images")?;
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast", "--release"]).args(demo::EMULATED_TESTS);
+    let small = images::small(workspace, way, &[])?;
     command.env(IMAGES, directory);
+    command.env(SMALL_IMAGES, small.directory().context("there are no small images")?);
     let mut tally = step("testing the firmware in the emulated cluster", || cargo_test(&mut command))?;
     tally.add(step("testing a new repository, made outside this one", || new_repository(workspace, way)));
     tally.add(step("testing a workshop that configures itself, outside this repository", || {
@@ -254,6 +256,8 @@ fn said(line: &str) -> Option<&str> {
 
 /// Tells the tests of the emulated cluster where the images are.
 const IMAGES: &str = "COSMIC_IMAGES";
+/// The same, for the nodes whose size is a goal.
+const SMALL_IMAGES: &str = "COSMIC_SMALL_IMAGES";
 
 #[cfg(test)]
 mod tests {

@@ -100,8 +100,9 @@ impl<const NODES: usize, const SUBJECTS: usize> Broker<NODES, SUBJECTS> {
         let between = self.timing.between_supplies;
         let at_once = times(between, BrokerTiming::SUPPLIES_AT_ONCE.into());
         let ahead = self.supply_at.saturating_since(now).min(at_once);
-        let due = ahead + between <= at_once;
-        self.supply_at = if due { now + ahead + between } else { now + ahead };
+        let next = now + ahead + between;
+        let due = next <= now + at_once;
+        self.supply_at = if due { next } else { now + ahead };
         due
     }
 }

@@ -45,10 +45,12 @@ impl CoarseSpan {
     /// The span.
     pub const fn duration(self) -> Duration {
         let (exponent, mantissa) = (self.0 >> MANTISSA_BITS, (self.0 as u64) & (HIDDEN - 1));
-        Duration::from_micros(match exponent.checked_sub(1) {
+        let micros = match exponent.checked_sub(1) {
             None => mantissa,
             Some(halvings) => (HIDDEN | mantissa) << halvings,
-        })
+        };
+        // It fits; the compiler need not know.
+        Duration::from_ticks(micros.saturating_mul(Duration::from_micros(1).as_ticks()))
     }
 
     /// Returns whether it is no time.

@@ -9,11 +9,13 @@ mod admitting;
 mod clock;
 mod config;
 mod hosted;
+mod naming;
 mod node;
 
 pub use clock::ClockService;
 pub use config::{News, NodeConfig};
 pub use hosted::{AdmittingBroker, Hosted};
+pub use naming::NamingService;
 pub use node::NodeServices;
 
 use crate::admission::Offer;

@@ -306,6 +306,12 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         }
     }
 
+    fn set_wanted(&mut self, at: usize, channel: Option<KnownChannel>) {
+        if let Some(place) = self.wanted.get_mut(at) {
+            *place = channel;
+        }
+    }
+
     fn health(&self, now: Instant, view: &NodeView) -> Health {
         let bound = self.wanted.iter().flatten().all(|wanted| wanted.etag.is_some());
         let is_silent = self.clock.is_inhibited() || !self.clock.clock().is_synchronised(now);
@@ -430,7 +436,6 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         self.warden.as_ref().map(|warden| warden.seal().publishers(subject))
     }
 
-    #[allow(clippy::indexing_slicing, reason = "the place was found by its number")]
     fn declare(&mut self, declaration: &Declaration) -> Result<(), TooMany> {
         self.idle_until = Instant::EPOCH;
         let &Declaration { subject, etag, class, layout, publishes, subscribes, .. } = declaration;
@@ -452,13 +457,13 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             None => {
                 self.binding.forget(subject);
                 self.admission.forget(subject);
-                self.wanted[at] = None;
+                self.set_wanted(at, None);
                 return Ok(());
             }
         }
         self.ask_for(declaration, etag)?;
-        self.wanted[at] =
-            Some(KnownChannel { subject, etag, class, layout, publishes, subscribes, changed: true });
+        let changed = KnownChannel { subject, etag, class, layout, publishes, subscribes, changed: true };
+        self.set_wanted(at, Some(changed));
         Ok(())
     }
 
