@@ -23,13 +23,18 @@
 //! Call [`Monitor::on_frame`], [`on_foreign`](Monitor::on_foreign), [`on_lost`](Monitor::on_lost),
 //! [`on_errors`](Monitor::on_errors) and [`on_bus_off`](Monitor::on_bus_off) as the link tells of them, with instants
 //! that do not go back; one that does counts as the latest. [`Monitor::snapshot`], [`Monitor::doctor`] and
-//! [`Monitor::notices`] may be called at any time. A frame takes constant time, a node's status time linear in the slots of the plan; once a second a frame takes time
-//! linear in what is known.
+//! [`Monitor::notices`] may be called at any time.
+//!
+//! A frame takes time logarithmic in the channels that are known, and linear in who publishes and subscribes on its own, at
+//! most 256; a hard frame and a node's status time linear in the slots of the plan, too. The frame by which a node leaves,
+//! and once a second any frame, takes time linear in what is known.
 //!
 //! # Bounds
 //! Whatever the bus sends, memory is bounded: 128 nodes, [`MOST_CHANNELS`] channels, [`MOST_PARTICIPANTS`] entries of
-//! who publishes and who subscribes, [`MOST_NOTICES`] notices. What found no place is counted
-//! ([`Snapshot::overlooked`]). Channels that nobody has used for a minute make room.
+//! who publishes and who subscribes: what found no place there is counted ([`Snapshot::overlooked`]), and channels that
+//! nobody has used for a minute make room. Of notices the last [`MOST_NOTICES`] are kept, of suspicious senders the last 16
+//! of each kind: the older ones make room, and are not counted. Messages of several frames that are on their way at once
+//! beyond 32 are dropped, and counted ([`MessagesView`]).
 //!
 //! # What a listener cannot know
 //! * *Which* exceptions a node counted: its status carries only how many. The monitor says what it has seen on the bus

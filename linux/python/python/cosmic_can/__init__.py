@@ -1,6 +1,6 @@
 """COSMIC: event channels on the CAN bus.
 
-Ten lines subscribe on any link and print decoded events::
+Four lines subscribe on any link and print decoded events::
 
     import cosmic_can
 
