@@ -1,6 +1,7 @@
 //! `cosmic serve`: the live page, for a browser.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -170,26 +171,30 @@ async fn publish(
         None => node.insert(part::start(context, identity, None).await?),
     };
     let subject = channel.subject();
-    if !announced.contains_key(&subject) {
-        if announced.len() == MOST_CHANNELS {
+    let is_full = announced.len() >= MOST_CHANNELS;
+    let publisher = match announced.entry(subject) {
+        Entry::Occupied(known) => known.into_mut(),
+        Entry::Vacant(_) if is_full => {
             return Err(Failure::input(format!(
                 "this page has published on {MOST_CHANNELS} channels: start it anew"
             )));
         }
-        let publisher = node.announce(&channel).map_err(|error| Failure::input(error.to_string()))?;
-        part::named(identity, publisher.bound()).await?;
-        announced.insert(subject, publisher);
-    }
-    let Some(publisher) = announced.get(&subject) else { return Ok(()) };
-    let before = node.channel_counters(subject).unwrap_or_default().discarded;
+        Entry::Vacant(place) => {
+            let publisher = node.announce(&channel).map_err(|error| Failure::input(error.to_string()))?;
+            part::named(identity, publisher.bound()).await?;
+            place.insert(publisher)
+        }
+    };
+    let before = node.channel_counters(subject).unwrap_or_default();
     publisher.publish_event(&Event::new(content)).map_err(|error| Failure::input(error.to_string()))?;
     part::concluded(node, subject).await;
-    if node.channel_counters(subject).unwrap_or_default().discarded != before {
-        return Err(Failure::link(
-            "the event expired before it could be sent: the bus is too busy, or the link is down",
-        ));
-    }
-    Ok(())
+    let after = node.channel_counters(subject).unwrap_or_default();
+    let what = match (after.sent == before.sent, after.discarded == before.discarded) {
+        (false, true) => return Ok(()),
+        (_, false) => "the event expired before it could be sent",
+        (true, true) => "the event still waits to be sent",
+    };
+    Err(Failure::link(format!("{what}: the bus is too busy, or the link is down")))
 }
 
 /// So many events wait to be published.
