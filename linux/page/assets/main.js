@@ -3,9 +3,10 @@
 /** What is drawn anew when something has changed, and how often at most, in milliseconds. */
 const DRAWERS = [
   { draw: drawTabs, on: ["hello", "state", "choice"], every: 200, at: 0 },
-  { draw: drawMaps, on: ["hello", "state", "choice"], every: 200, at: 0 },
+  { draw: drawMaps, on: ["hello", "state", "crossings", "choice"], every: 200, at: 0 },
   { draw: drawFindings, on: ["state", "choice"], every: 200, at: 0 },
   { draw: drawNotices, on: ["notices", "choice", "state"], every: 200, at: 0 },
+  { draw: drawWays, on: ["hello", "crossings", "choice"], every: 200, at: 0 },
   { draw: drawLoad, on: ["state", "choice"], every: 200, at: 0 },
   { draw: drawChannels, on: ["state", "choice"], every: 200, at: 0 },
   { draw: drawNodes, on: ["state", "choice"], every: 200, at: 0 },
@@ -51,7 +52,7 @@ function drawCounts() {
   write(byId("busy"), (workShare() * 100).toFixed(0));
 }
 
-const SECTIONS = ["map", "feed", "line", "channel", "load", "channels", "nodes", "events"];
+const SECTIONS = ["map", "feed", "line", "channel", "load", "channels", "nodes", "events", "ways"];
 
 function onKey(event) {
   const typed = event.target.closest("input, select, textarea");

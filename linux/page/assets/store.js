@@ -8,6 +8,7 @@ const [END, LENGTH, CLASS, PRIORITY, TX, ETAG, BYTES, SAID] = [0, 1, 2, 3, 4, 5,
 
 const store = {
   hello: null,
+  crossings: null,
   segments: [],
   chosen: 0,
   node: null,
@@ -34,7 +35,7 @@ const receive = {
     if (isAnother) {
       store.segments = hello.segments.map(segmentOf);
       store.chosen = Math.min(store.chosen, Math.max(0, store.segments.length - 1));
-      Object.assign(store, { node: null, etag: null, notice: null, frames: 0, lost: 0, untold: 0 });
+      Object.assign(store, { node: null, etag: null, notice: null, crossings: null, frames: 0, lost: 0, untold: 0 });
     } else {
       hello.segments.slice(store.segments.length).forEach((head) => store.segments.push(segmentOf(head)));
     }
@@ -71,6 +72,10 @@ const receive = {
     }
     while (segment.notices.size > MOST_NOTICES) segment.notices.delete(segment.notices.keys().next().value);
     changed("notices");
+  },
+  crossings(crossings) {
+    store.crossings = crossings;
+    changed("crossings");
   },
   lost({ frames }) {
     store.lost += frames;

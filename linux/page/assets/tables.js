@@ -5,13 +5,15 @@ const NODE_HEADS = ["node", "TxNode", "state", "role", "frames/s", "exceptions",
 const EVENT_HEADS = ["time", "class", "priority", "node", "channel", "content"];
 /** Columns that a phone has no room for. */
 const WIDE = new Set(["deadline", "left", "publishers", "subscribers", "TxNode", "errors", "restarts", "up", "priority", "role"]);
-const NUMBERS = new Set(["events/s", "deadline", "latest", "left", "missed", "frames/s", "exceptions", "restarts", "up", "priority", "time"]);
+const NUMBERS = new Set(["events", "left at least", "events/s", "deadline", "latest", "left", "missed", "frames/s", "exceptions", "restarts", "up", "priority", "time"]);
 const MOST_ROWS = 40;
 
 const style = (head) => [WIDE.has(head) ? "wide" : "", NUMBERS.has(head) ? "number" : ""].join(" ").trim();
 
 function makeHeads() {
-  for (const [id, heads] of [["channel-table", CHANNEL_HEADS], ["node-table", NODE_HEADS], ["event-table", EVENT_HEADS]]) {
+  const tables = [["channel-table", CHANNEL_HEADS], ["node-table", NODE_HEADS], ["event-table", EVENT_HEADS], ["way-table", WAY_HEADS],
+    ["crossing-table", CROSSING_HEADS]];
+  for (const [id, heads] of tables) {
     byId(id).tHead.replaceChildren(el("tr", {}, ...heads.map((head) => el("th", { scope: "col", class: style(head) }, head))));
   }
 }

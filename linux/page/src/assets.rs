@@ -17,11 +17,12 @@ pub(crate) fn page() -> (String, String) {
 const FRAME: &str = include_str!("../assets/page.html");
 const STYLE: &str = include_str!("../assets/page.css");
 /// In the order in which they run.
-const SCRIPTS: [&str; 8] = [
+const SCRIPTS: [&str; 9] = [
     include_str!("../assets/basics.js"),
     include_str!("../assets/store.js"),
     include_str!("../assets/map.js"),
     include_str!("../assets/timeline.js"),
+    include_str!("../assets/ways.js"),
     include_str!("../assets/tables.js"),
     include_str!("../assets/feed.js"),
     include_str!("../assets/plot.js"),

@@ -41,15 +41,16 @@ struct Browser {
 }
 
 impl Browsers {
-    /// Another browser watches; `first` is what it is told first. `None` if there are too many.
-    pub(crate) fn open(&mut self, first: Vec<Message>) -> Option<mpsc::Receiver<Message>> {
+    /// Another browser watches; `first` is what it is told first. `None` if there are too many; then nothing is written
+    /// for it.
+    pub(crate) fn open(&mut self, first: impl FnOnce() -> Vec<Message>) -> Option<mpsc::Receiver<Message>> {
         self.all.retain(|browser| !browser.queue.is_closed());
         if self.all.len() >= MOST_BROWSERS {
             return None;
         }
         let (queue, messages) = mpsc::channel(QUEUE);
         let mut browser = Browser { queue, lost_messages: 0, lost_frames: 0 };
-        first.into_iter().for_each(|message| browser.tell(message));
+        first().into_iter().for_each(|message| browser.tell(message));
         self.all.push(browser);
         Some(messages)
     }
@@ -107,8 +108,8 @@ mod tests {
     #[test]
     fn a_browser_that_does_not_read_loses_frames_and_is_told_how_many() {
         let mut browsers = Browsers::default();
-        let mut slow = browsers.open(vec![Message::new("hello", &0, 0)]).unwrap();
-        let mut quick = browsers.open(Vec::new()).unwrap();
+        let mut slow = browsers.open(|| vec![Message::new("hello", &0, 0)]).unwrap();
+        let mut quick = browsers.open(Vec::new).unwrap();
         let everything = || vec![Message::new("state", &7, 0)];
         let mut seen = 0;
         for number in 0..100 {
@@ -130,9 +131,10 @@ mod tests {
     #[test]
     fn who_leaves_makes_room() {
         let mut browsers = Browsers::default();
-        let mut open: Vec<_> = std::iter::from_fn(|| browsers.open(Vec::new())).collect();
-        assert_eq!((open.len(), browsers.count()), (MOST_BROWSERS, MOST_BROWSERS));
+        let mut open: Vec<_> = (0..MOST_BROWSERS).map(|_| browsers.open(Vec::new).unwrap()).collect();
+        assert_eq!(browsers.count(), MOST_BROWSERS);
+        assert!(browsers.open(|| panic!("nobody writes for who is refused")).is_none());
         open.pop();
-        assert!(browsers.open(Vec::new()).is_some());
+        assert!(browsers.open(Vec::new).is_some());
     }
 }

@@ -1,6 +1,6 @@
 //! Who may ask, and what the page may do in a browser.
 
-use std::net::IpAddr;
+use std::net::{IpAddr, Ipv6Addr};
 
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -35,13 +35,18 @@ const NOTHING: HeaderValue = HeaderValue::from_static("default-src 'none'; frame
 /// Returns whether a host, as a browser names it, is an address, `localhost`, or one of these names. A site elsewhere can
 /// make its own name point to this server, but not an address.
 fn is_ours(host: &str, names: &[String]) -> bool {
-    let name = match host.strip_prefix('[') {
-        Some(rest) => rest.split(']').next().unwrap_or_default(),
-        None => host.rsplit_once(':').map_or(host, |(name, _)| name),
+    let (name, port) = match host.strip_prefix('[') {
+        Some(rest) => match rest.split_once(']') {
+            Some((address, port)) if address.parse::<Ipv6Addr>().is_ok() => (address, port),
+            _ => return false,
+        },
+        None => host.split_at(host.find(':').unwrap_or(host.len())),
     };
-    name.parse::<IpAddr>().is_ok()
+    let is_port = |text: &str| text.strip_prefix(':').is_some_and(|digits| digits.parse::<u16>().is_ok());
+    let is_known = name.parse::<IpAddr>().is_ok()
         || name.eq_ignore_ascii_case("localhost")
-        || names.iter().any(|known| known.eq_ignore_ascii_case(name))
+        || names.iter().any(|known| known.eq_ignore_ascii_case(name));
+    is_known && (port.is_empty() || is_port(port))
 }
 
 #[cfg(test)]
@@ -56,8 +61,18 @@ mod tests {
         {
             assert!(is_ours(host, &names), "{host}");
         }
-        for host in ["evil.example", "localhost.evil.example:8117", "", "127.0.0.1.evil.example", "[::1"] {
-            assert!(!is_ours(host, &names) || host == "[::1", "{host}");
+        for host in [
+            "evil.example",
+            "localhost.evil.example:8117",
+            "",
+            "127.0.0.1.evil.example",
+            "[::1",
+            "[::1]evil.example",
+            "[evil.example]",
+            "::1",
+            "localhost:evil.example",
+        ] {
+            assert!(!is_ours(host, &names), "{host}");
         }
     }
 }

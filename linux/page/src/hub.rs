@@ -1,13 +1,14 @@
 //! The hub: all segments, all browsers.
 
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use cosmic_monitor::Monitor;
 use tokio::sync::mpsc;
 use tokio::time::MissedTickBehavior;
 
 use crate::browsers::{Browsers, Message};
+use crate::crossings::{Crossing, Crossings};
 use crate::messages::{Hello, SegmentHead};
 use crate::publishing::Publishing;
 use crate::secret;
@@ -35,6 +36,7 @@ pub(crate) struct Shared {
     instance: String,
     segments: RwLock<Vec<Segment>>,
     browsers: Mutex<Browsers>,
+    crossings: Mutex<Crossings>,
     pulses: Mutex<u64>,
 }
 
@@ -50,6 +52,7 @@ impl Hub {
                 instance: secret::unpredictable(),
                 segments: RwLock::default(),
                 browsers: Mutex::default(),
+                crossings: Mutex::default(),
                 pulses: Mutex::new(0),
             }),
         }
@@ -61,6 +64,11 @@ impl Hub {
         let segment = Segment::new(segments.len(), name.into(), link.into(), monitor);
         segments.push(segment.clone());
         segment
+    }
+
+    /// An event has come to a gateway. Never waits for a browser.
+    pub fn crossed(&self, crossing: Crossing) {
+        self.shared.crossings().add(crossing);
     }
 
     /// How many browsers watch.
@@ -75,10 +83,16 @@ impl Hub {
             *pulses += 1;
             pulses.is_multiple_of(PULSES_PER_STATE)
         };
+        // Nobody comes between what is new and its being told: he would be told neither by this nor by the next.
+        let mut browsers = self.shared.browsers();
         let segments = self.segments();
-        let news: Vec<Message> =
+        let mut news: Vec<Message> =
             segments.iter().flat_map(|segment| segment.shared.news(state_is_due)).collect();
-        self.shared.browsers().tell(&news, || self.everything());
+        if state_is_due {
+            self.shared.crossings().reckon(Instant::now());
+            news.extend(self.shared.what_crosses());
+        }
+        browsers.tell(&news, || self.everything());
     }
 
     /// Tells all browsers what is new, ten times a second, for ever.
@@ -93,8 +107,7 @@ impl Hub {
 
     /// Another browser watches; `None` if there are too many.
     pub(crate) fn watch(&self) -> Option<mpsc::Receiver<Message>> {
-        let everything = self.everything();
-        self.shared.browsers().open(everything)
+        self.shared.browsers().open(|| self.everything())
     }
 
     /// What a browser needs that knows nothing.
@@ -112,6 +125,7 @@ impl Hub {
         };
         let mut messages = vec![Message::new("hello", &hello, 0)];
         messages.extend(segments.iter().flat_map(|segment| segment.shared.everything()));
+        messages.extend(self.shared.what_crosses());
         messages
     }
 
@@ -124,9 +138,74 @@ impl Shared {
     fn browsers(&self) -> std::sync::MutexGuard<'_, Browsers> {
         self.browsers.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    fn crossings(&self) -> std::sync::MutexGuard<'_, Crossings> {
+        self.crossings.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn what_crosses(&self) -> Option<Message> {
+        self.crossings().told().map(|told| Message::new("crossings", &told, 0))
+    }
 }
 
 /// How often browsers are told.
 const PULSE: Duration = Duration::from_millis(100);
 /// Each of so many pulses tells the whole state.
 const PULSES_PER_STATE: u64 = 10;
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use cosmic_core::can::BitRate;
+    use cosmic_core::time;
+    use cosmic_linux::{Tapped, What};
+
+    use super::*;
+
+    /// The numbers of the notices in messages.
+    fn noticed(messages: &mut mpsc::Receiver<Message>) -> BTreeSet<u64> {
+        let told =
+            std::iter::from_fn(|| messages.try_recv().ok()).filter(|message| message.kind == "notices");
+        let values = told.map(|message| serde_json::from_str::<serde_json::Value>(&message.text).unwrap());
+        let numbers = |value: serde_json::Value| {
+            let notices = value["notices"].as_array().unwrap().clone();
+            notices.into_iter().map(|notice| notice["sequence"].as_u64().unwrap())
+        };
+        values.flat_map(numbers).collect()
+    }
+
+    #[test]
+    fn who_comes_while_things_happen_misses_none_of_them() {
+        let hub = Hub::new(Config::default());
+        let segment = hub.segment("bench", "log:none", Monitor::new(BitRate::MAX, time::Instant::EPOCH));
+        let ends = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let mut seconds = 0;
+                while !ends.load(Ordering::Relaxed) {
+                    // So far apart that none is told as another one once more.
+                    seconds += 2;
+                    let at = time::Instant::from_epoch(time::Duration::from_secs(seconds));
+                    segment.on_tapped(&Tapped { at, what: What::BusOff });
+                    hub.pulse();
+                    // A lock that is taken again at once is nobody else's.
+                    std::thread::sleep(std::time::Duration::from_micros(50));
+                }
+            });
+            for _ in 0..100 {
+                let mut browser = hub.watch().unwrap();
+                let mut numbers = noticed(&mut browser);
+                let enough = numbers.last().copied().unwrap_or(0) + 2;
+                while !numbers.contains(&enough) {
+                    std::thread::yield_now();
+                    numbers.extend(noticed(&mut browser));
+                }
+                let (first, last) = (numbers.first().copied().unwrap(), numbers.last().copied().unwrap());
+                assert_eq!(numbers, (first..=last).collect());
+            }
+            ends.store(true, Ordering::Relaxed);
+        });
+    }
+}

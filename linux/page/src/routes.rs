@@ -62,15 +62,17 @@ async fn events(State(hub): State<Hub>) -> Response {
 /// Everything that a browser is told first, as one value.
 async fn state(State(hub): State<Hub>) -> Response {
     let (mut hello, mut states, mut notices) = (String::new(), Vec::new(), Vec::new());
+    let mut crossings = "null".to_owned();
     for message in hub.everything() {
         match message.kind {
             "hello" => hello = message.text.to_string(),
             "state" => states.push(message.text.to_string()),
+            "crossings" => crossings = message.text.to_string(),
             _ => notices.push(message.text.to_string()),
         }
     }
     let text = format!(
-        "{{\"hello\":{hello},\"states\":[{}],\"notices\":[{}]}}\n",
+        "{{\"hello\":{hello},\"states\":[{}],\"notices\":[{}],\"crossings\":{crossings}}}\n",
         states.join(","),
         notices.join(",")
     );
@@ -86,7 +88,10 @@ async fn publish(
         (status, Json(Answer { published: false, why: Some(why.to_owned()) })).into_response()
     };
     let Some(publishing) = &hub.shared.config.publishing else {
-        return refused(StatusCode::FORBIDDEN, "this page only shows: start it with --allow-publish");
+        return refused(
+            StatusCode::FORBIDDEN,
+            "this page only shows; one of `cosmic serve --allow-publish` publishes",
+        );
     };
     let given = headers.get(header::AUTHORIZATION).and_then(|given| given.to_str().ok());
     let given = given.and_then(|given| given.strip_prefix("Bearer "));

@@ -1,12 +1,14 @@
 //! A segment: its monitor, and what has crossed it since browsers were told.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use cosmic_bus::{TrafficClass, WireFrame};
 use cosmic_core::can::{BitRate, Frame};
 use cosmic_core::time::Instant;
-use cosmic_linux::{Tapped, What};
+use cosmic_linux::{Tap, Tapped, What};
 use cosmic_monitor::{Meaning, Monitor, Notice};
+use tokio::time::MissedTickBehavior;
 
 use crate::browsers::Message;
 use crate::messages::{Frames, Line, Notices, Said, State};
@@ -63,6 +65,19 @@ impl Segment {
     pub fn advance(&self, now: Instant) {
         let mut live = self.shared.lock();
         live.now = live.now.max(now);
+    }
+
+    /// Hands in all that a tap tells, and the time while it tells nothing. Ends never.
+    pub async fn follow(self, tap: Tap) {
+        let mut tick = tokio::time::interval(TICK);
+        tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                biased;
+                _ = tick.tick() => self.advance(tap.now()),
+                tapped = tap.next() => self.on_tapped(&tapped),
+            }
+        }
     }
 
     /// What a person should know of the link from now on; `None` if all is well.
@@ -210,3 +225,5 @@ fn micros(at: Instant) -> f64 {
 
 /// So many frames of a segment are told at once: more than a tenth of a second of a full bus at 1 Mbit/s.
 pub const MOST_FRAMES: usize = 2_048;
+/// How often a segment is told the time.
+const TICK: Duration = Duration::from_millis(100);
