@@ -127,6 +127,11 @@ impl<'a> Table<'a> {
         self.place.clone()
     }
 
+    /// Its path.
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+
     /// The path of one of its fields.
     pub fn path_of(&self, field: &str) -> String {
         if self.path.is_empty() { field.to_owned() } else { format!("{}.{field}", self.path) }
@@ -153,7 +158,10 @@ impl<'a> Table<'a> {
 
     /// The field as it stands; `None` if it does not.
     pub fn node(&self, field: &'static str) -> Option<&'a Node> {
-        self.asked.borrow_mut().push(field);
+        let mut asked = self.asked.borrow_mut();
+        if !asked.contains(&field) {
+            asked.push(field);
+        }
         self.entries.iter().find(|(key, _)| key.value == field).map(|(_, node)| node)
     }
 
@@ -218,7 +226,7 @@ impl<'a> Table<'a> {
     }
 
     /// Reads each of the tables in the field, with `read`.
-    pub fn entries<T>(&self, field: &'static str, read: fn(&Table<'_>) -> T) -> Vec<T> {
+    pub fn entries<T>(&self, field: &'static str, mut read: impl FnMut(&Table<'_>) -> T) -> Vec<T> {
         let items = self.nodes(field).unwrap_or_default();
         let read_one = |(at, item): (usize, &Node)| {
             let mut table = Table::new(item, self.path_of(&format!("{field}[{at}]")), self.log);

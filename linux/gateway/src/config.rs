@@ -5,6 +5,7 @@
 mod document;
 
 use std::collections::HashMap;
+use std::fmt;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -15,11 +16,22 @@ use cosmic_core::time::Duration;
 use cosmic_core::{NodeUid, Subject};
 use cosmic_linux::link::LinkAddress;
 use cosmic_monitor::SegmentPlan;
-
-pub use document::{Problem, Problems};
+use cosmic_plan::document::Source;
 
 use crate::keys::Name;
 use crate::rules::{Percent, Reach};
+
+/// All that is wrong in a configuration, one line each: file, line, column, field, what is wrong, and what to write.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Problems(String);
+
+impl fmt::Display for Problems {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Problems {}
 
 /// What a gateway is told at its start.
 #[derive(Clone, Debug)]
@@ -127,6 +139,8 @@ pub struct ChannelConfig {
     /// How long an event waits at its publisher at most, before it is sent; `None`: as long as its frame does not say
     /// otherwise.
     pub longest_wait: Option<Duration>,
+    /// Of a channel of messages of several frames: their bytes, at most. `None`: its events fit into a frame.
+    pub longest_message: Option<usize>,
     /// The segments that it may leave.
     pub from: Reach,
     /// The segments that it may enter.
@@ -154,6 +168,6 @@ impl Config {
     /// # Errors
     /// As there.
     pub fn parse(file: &str, text: &str, folder: &std::path::Path) -> Result<Self, Problems> {
-        document::parse(file, text, folder)
+        document::parse(&Source::new(file, text), folder)
     }
 }

@@ -11,6 +11,7 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::time::Duration;
 use cosmic_core::{NodeUid, Subject};
+use cosmic_plan::analysis::segment::assess;
 use cosmic_plan::cluster::{Channel, Cluster, Node, PlannedClass, Recurrence};
 use cosmic_plan::contents::NotDecoded;
 use cosmic_plan::document::Source;
@@ -99,6 +100,14 @@ impl SegmentPlan {
     /// The bit rate of the segment.
     pub fn bit_rate(&self) -> BitRate {
         self.cluster.segment.bit_rate
+    }
+
+    /// The share of time that the plan leaves to others, 0 to 1: behind the windows of the calendar, and all other frames
+    /// of the description.
+    pub fn free_share(&self) -> f64 {
+        let shares = assess(&self.cluster, &self.plan).utilisation;
+        let taken = shares.reserved + shares.soft + shares.non_real_time + shares.sync + shares.foreign;
+        (1.0 - taken).clamp(0.0, 1.0)
     }
 
     /// The digest of the calendar, as sync frames carry it.

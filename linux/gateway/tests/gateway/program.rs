@@ -154,7 +154,11 @@ async fn what_is_wrong_is_told_in_one_line() {
         "[ip.tls]\nauthority = \"none.pem\"\ncertificate = \"none.pem\"\nkey = \"none.key\"\n[[segment]]",
     );
     for (text, code, expected) in [
-        (setup(free, "colour = 1"), 2, "unknown field `colour`"),
+        (
+            setup(free, "colour = 1"),
+            2,
+            "segment.plant.colour: is not a field that is known here; the fields here are: name, link, uid",
+        ),
         (setup(address.port(), ""), 1, "another program listens at"),
         (with_metrics, 1, "metrics cannot be served at"),
         (with_tls, 1, "none.pem cannot be read"),
