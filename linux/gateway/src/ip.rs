@@ -27,6 +27,7 @@
 //! # }
 //! ```
 
+mod inlet;
 mod queue;
 
 use std::sync::Arc;
@@ -34,23 +35,23 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use cosmic_core::can::{Payload, TxNode};
 use cosmic_core::event_layer::{Attributes, Channel, Content, Context, Event, Policy, PublishError};
-use cosmic_core::protocol::{Class, LayoutHash};
+use cosmic_core::protocol::Class;
 use cosmic_core::time::{Duration, Instant};
 use cosmic_linux::AnnounceError;
 use tokio::sync::Notify;
 use zenoh::Wait as _;
 use zenoh::qos::{CongestionControl, Priority};
-use zenoh::sample::{Locality, Sample, SampleKind};
+use zenoh::sample::Locality;
 
+use inlet::Inlet;
 use queue::Queue;
 
 use crate::clock::Reading;
 use crate::config::Ip;
 use crate::counters::{Counters, Direction, Metrics, Outcome};
 use crate::encoding::Envelope;
-use crate::keys::{Keys, Name};
-use crate::network::{Network, NetworkError, Peers, Voice, failed};
-use crate::sequence::Windows;
+use crate::keys::Name;
+use crate::network::{Network, NetworkError, Voice, failed};
 
 /// A node on IP. Clones are handles of the same node.
 #[derive(Clone)]
@@ -155,18 +156,17 @@ impl Node {
     ) -> Result<Subscriber<C>, IpError> {
         let network = &self.inner.network;
         let queue = Arc::new(Queue::new(policy));
-        let door = Door {
-            keys: network.keys.clone(),
-            peers: Arc::clone(&network.peers),
+        let inlet = Inlet {
+            door: network.door(),
+            subject: channel.subject(),
             queue: Arc::clone(&queue),
-            windows: Windows::default(),
             counters: self.inner.incoming.clone(),
             attributes: channel.attributes(),
             layout: channel.layout(),
         };
         let key = network.keys.events(channel.subject());
         let subscriber = network.session.declare_subscriber(key).allowed_origin(Locality::Remote);
-        let subscriber = subscriber.callback(move |sample| door.pass(&sample)).await;
+        let subscriber = subscriber.callback(move |sample| inlet.pass(&sample)).await;
         let subscriber = subscriber.map_err(|error| failed(&error))?;
         Ok(Subscriber { node: self.clone(), channel: *channel, queue, _subscriber: subscriber })
     }
@@ -368,64 +368,6 @@ impl Received<Vec<u8>> {
         let Self { class, origin, received_at, deadline, expires_at, .. } = self;
         let (context, content) = read(&self.content);
         Received { content, context, class, origin, received_at, deadline, expires_at }
-    }
-}
-
-/// Where events come in.
-struct Door {
-    keys: Keys,
-    peers: Arc<Peers>,
-    queue: Arc<Queue>,
-    windows: Windows,
-    counters: Counters,
-    attributes: Attributes,
-    layout: LayoutHash,
-}
-
-impl Door {
-    fn pass(&self, sample: &Sample) {
-        let outcome = self.take(sample).err().unwrap_or(Outcome::Forwarded);
-        self.counters.count(outcome);
-    }
-
-    fn take(&self, sample: &Sample) -> Result<(), Outcome> {
-        let (now, received_at) = (Reading::now(), now());
-        let key = self.keys.read_event(sample.key_expr().as_str()).ok_or(Outcome::Malformed)?;
-        let bytes = sample.payload().to_bytes();
-        let envelope = match sample.kind() {
-            SampleKind::Put => Envelope::decode(&bytes).map_err(|_| Outcome::Malformed)?,
-            SampleKind::Delete => return Err(Outcome::Malformed),
-        };
-        let missing = self.windows.note(&key, &envelope, now)?;
-        self.counters.count_many(Outcome::Missing, missing);
-        let age = self.peers.age(&key.segment, &envelope, now)?;
-        if self.layout.conflicts_with(envelope.layout) {
-            return Err(Outcome::LayoutMismatch);
-        }
-        let (deadline, validity) = match self.attributes {
-            Attributes::Soft(soft) => (Some(soft.deadline), Some(soft.validity)),
-            Attributes::NonRealTime(quality) => (None, quality.validity),
-            Attributes::Hard(hard) => (Some(hard.period), Some(hard.period)),
-        };
-        let left = |of_event: Option<Duration>, of_channel: Option<Duration>| match (of_event, of_channel) {
-            (Some(left), Some(most)) => Some(left.min(most)),
-            (left, most) => left.or(most),
-        };
-        let to_expiry = left(envelope.to_expiry, validity);
-        if to_expiry.is_some_and(|left| left <= age) {
-            return Err(Outcome::Expired);
-        }
-        let sent_at = received_at.saturating_sub(age);
-        let event = Received {
-            content: envelope.content,
-            context: Context::EMPTY,
-            class: envelope.class,
-            origin: Origin { segment: key.segment, node: envelope.node },
-            received_at,
-            deadline: left(envelope.to_deadline, deadline).map(|left| sent_at + left),
-            expires_at: to_expiry.map(|left| sent_at + left),
-        };
-        if self.queue.push(event) { Ok(()) } else { Err(Outcome::QueueFull) }
     }
 }
 

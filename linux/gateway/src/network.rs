@@ -1,5 +1,6 @@
 //! A participant of the network on IP: a session of zenoh, and what is known of the other participants.
 
+mod door;
 mod peers;
 mod settings;
 
@@ -12,7 +13,8 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Queryable;
 use zenoh::sample::Locality;
 
-pub(crate) use peers::Peers;
+pub(crate) use door::{Admitted, Door};
+use peers::Peers;
 
 use crate::clock::Reading;
 use crate::config::Ip;
@@ -71,6 +73,11 @@ impl Network {
         let keep = peers::keep(session.clone(), keys.clone(), Arc::clone(&peers), watcher);
         let keeper = tokio::spawn(keep);
         Ok(Self { session, keys, sender, peers, keeper })
+    }
+
+    /// Where events come in. Each lets an event in once.
+    pub(crate) fn door(&self) -> Door {
+        Door::new(self.keys.clone(), Arc::clone(&self.peers))
     }
 
     /// Speaks for a segment from now on.
