@@ -38,7 +38,7 @@ outcomes! {
     QueueFull,
     /// Discarded: the channel has no etag yet, or the node no TxNode.
     NotBound,
-    /// Discarded: the content does not fit into a frame.
+    /// Discarded: the content does not fit into a frame, or a message is longer than the channel says.
     TooLong,
     /// Discarded: the content is laid out otherwise than the channel's here.
     LayoutMismatch,
@@ -54,8 +54,10 @@ outcomes! {
     FromTheFuture,
     /// Discarded: bytes that are no event of this version.
     Malformed,
-    /// Discarded: the rules do not let the subject in.
-    Denied,
+    /// Discarded: a message of which a frame is missing.
+    Incomplete,
+    /// A frame of a message that had been given up, or of which the begin was missed.
+    StrayFrame,
     /// Not forwarded: a gateway has published it.
     OfGateway,
     /// Not forwarded: it has come back to where it was published.

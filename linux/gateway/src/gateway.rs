@@ -5,6 +5,7 @@
 //! nobody wants on the other side does not cross.
 
 mod hub;
+mod messages;
 mod outlet;
 mod ways;
 
@@ -22,7 +23,6 @@ use crate::keys::Name;
 use crate::leader::group_of;
 use crate::network::{Network, NetworkError};
 use crate::segment::{Segment, keep_leader};
-use crate::sequence::Windows;
 use crate::table::{self, Table};
 use hub::Hub;
 use outlet::Outlet;
@@ -70,12 +70,11 @@ impl Gateway {
         }
         let hub = Arc::new(Hub {
             unassigned: metrics.of_no_segment(),
-            by_subject: config.channels.iter().enumerate().map(|(at, it)| (it.subject, at)).collect(),
             channels: config.channels.clone(),
+            door: network.door(),
             network,
             segments,
             outlets,
-            windows: Windows::default(),
             metrics,
             changed,
             has_company: AtomicBool::new(false),

@@ -9,6 +9,7 @@
 //! 3. the class: nothing comes in as hard real-time, and no etag comes from outside: the node binds the subject itself.
 
 use cosmic_core::can::BitRate;
+use cosmic_core::event_layer::EventRate;
 use cosmic_core::time::{Duration, Instant};
 
 use crate::keys::Name;
@@ -80,6 +81,31 @@ impl Ceiling {
     }
 }
 
+/// How often messages of several frames enter: a token bucket, as the node has one for events of one frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Bucket {
+    rate: EventRate,
+    /// The instant from which on the bucket would be full.
+    nominal: Instant,
+}
+
+impl Bucket {
+    /// A full bucket.
+    pub const fn new(rate: EventRate) -> Self {
+        Self { rate, nominal: Instant::EPOCH }
+    }
+
+    /// Charges a message. Returns whether it may enter; else nothing is charged.
+    pub fn charge(&mut self, now: Instant) -> bool {
+        let nominal = self.nominal.max(now);
+        let fits = nominal.saturating_since(now) <= self.rate.tolerance();
+        if fits {
+            self.nominal = nominal + self.rate.interval();
+        }
+        fits
+    }
+}
+
 /// So much of the share may come at once.
 const BURST: Duration = Duration::from_millis(20);
 
@@ -106,6 +132,16 @@ mod tests {
         // A frame takes 160 µs: a tenth of the bus are 625 a second.
         assert!((6250..=6270).contains(&passed), "{passed}");
         assert!((13..=20).contains(&first_burst), "{first_burst}");
+    }
+
+    #[test]
+    fn messages_come_as_often_as_the_rate_says() {
+        let mut bucket = Bucket::new(EventRate::sporadic(Duration::from_millis(10)).with_burst(3));
+        let at = |milliseconds| Instant::from_epoch(Duration::from_millis(1000 + milliseconds));
+        let passed: Vec<_> =
+            [0, 0, 0, 0, 9, 10, 10, 20, 100, 100, 100, 100].map(|ms| bucket.charge(at(ms))).into();
+        let expected = [true, true, true, false, false, true, false, true, true, true, true, false];
+        assert_eq!(passed, expected);
     }
 
     #[test]

@@ -2,17 +2,18 @@
 
 mod beacons;
 mod origin;
+mod outbox;
 mod passed_over;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use cosmic_core::can::{Payload, TxNode};
+use cosmic_core::can::{Payload, Priority, TxNode};
 use cosmic_core::event_layer::{
     Attributes, Channel, Delivered, Depth, Event, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
 };
 use cosmic_core::protocol::{Class, LayoutHash, Side};
-use cosmic_core::time::Duration;
+use cosmic_core::time::{Duration, Instant};
 use cosmic_linux::{Config, Node, Publisher, Subscriber, calendar_without_slots};
 use tokio::sync::Notify;
 
@@ -24,8 +25,9 @@ use crate::counters::{Counters, Direction, Metrics, Outcome};
 use crate::error::StartError;
 use crate::keys::Name;
 use crate::leader::Leadership;
-use crate::rules::Ceiling;
+use crate::rules::{Bucket, Ceiling};
 use crate::table::Table;
+use outbox::Outbox;
 use passed_over::PassedOver;
 
 /// The gateway's node on a segment.
@@ -51,14 +53,45 @@ pub(crate) struct Segment {
 pub(crate) struct Port {
     /// As the gateway's node has it there.
     channel: Channel<Payload>,
-    /// The right to publish on it, if it may enter.
-    publisher: Option<Publisher<Payload>>,
+    entrance: Entrance,
     /// Somebody on the segment subscribes to it, who is no gateway.
     wanted: AtomicBool,
     /// It enters whether anybody says so or not.
     unasked: bool,
     /// From publication to the deadline, as publishers on the segment have it.
     deadline: Option<Duration>,
+}
+
+/// How events of a channel enter.
+enum Entrance {
+    /// They may not.
+    Closed,
+    Events(Publisher<Payload>),
+    /// Messages of several frames.
+    Messages(Outbox, Mutex<Bucket>),
+}
+
+/// An event that is to leave its segment.
+#[derive(Clone, Debug)]
+pub(crate) struct Leaving {
+    pub(crate) content: Vec<u8>,
+    pub(crate) publisher: TxNode,
+    pub(crate) priority: Priority,
+    /// When its first frame was received, and its last.
+    pub(crate) began_at: Instant,
+    pub(crate) received_at: Instant,
+}
+
+impl From<&Delivered<Payload>> for Leaving {
+    fn from(event: &Delivered<Payload>) -> Self {
+        Self {
+            content: event.content.as_slice().to_vec(),
+            publisher: event.publisher,
+            priority: event.id.priority(),
+            began_at: event.received_at,
+            received_at: event.received_at,
+        }
+    }
 }
 
 /// An event for a segment.
@@ -92,16 +125,24 @@ impl Segment {
         }
         let link = config.link.link(config.bit_rate).map_err(refused)?;
         let node = Node::start(of_node, link).map_err(|error| refused(error.to_string()))?;
+        let incoming = metrics.of(&config.name, Direction::In);
         let ports = channels.iter().map(|channel| {
             let refused =
                 |what: String| refused(format!("the channel {:?} is refused: {what}", channel.name));
             let declared = declare(channel, config).map_err(refused)?;
             let enters = channel.to.has(&config.name);
             let announced = enters.then(|| node.announce(&declared)).transpose();
-            let publisher = announced.map_err(|error| refused(error.to_string()))?;
+            let entrance = match announced.map_err(|error| refused(error.to_string()))? {
+                None => Entrance::Closed,
+                Some(publisher) if channel.longest_message.is_some() => Entrance::Messages(
+                    Outbox::new(publisher, incoming.clone()),
+                    Bucket::new(channel.rate).into(),
+                ),
+                Some(publisher) => Entrance::Events(publisher),
+            };
             let unasked = channel.unasked.contains(&config.name);
             let deadline = planned_deadline(channel, config).or(channel.deadline);
-            Ok(Port { channel: declared, publisher, wanted: AtomicBool::new(false), unasked, deadline })
+            Ok(Port { channel: declared, entrance, wanted: AtomicBool::new(false), unasked, deadline })
         });
         Ok(Self {
             name: config.name.clone(),
@@ -112,7 +153,7 @@ impl Segment {
             step: calendar.priority_step(),
             etag_of_gateways: config.etags.get(&crate::config::GATEWAYS).copied(),
             passed_over: Mutex::new(PassedOver::default()),
-            incoming: metrics.of(&config.name, Direction::In),
+            incoming: incoming.clone(),
             outgoing: metrics.of(&config.name, Direction::Out),
             changed: Notify::new(),
         })
@@ -135,7 +176,7 @@ impl Segment {
     pub(crate) fn wants(&self, channel: usize) -> bool {
         let port = &self.channels[channel];
         let wanted = port.unasked || port.wanted.load(Ordering::Relaxed);
-        port.publisher.is_some() && wanted && self.leads()
+        port.enters() && wanted && self.leads()
     }
 
     /// Subscribes to a channel.
@@ -148,7 +189,7 @@ impl Segment {
     fn look_for_interest(&self) -> bool {
         let mut changed = false;
         for port in &self.channels {
-            let etag = port.publisher.as_ref().and_then(|_| self.node.etag_of(port.channel.subject()));
+            let etag = port.enters().then(|| self.node.etag_of(port.channel.subject())).flatten();
             let wanted = etag.is_some_and(|etag| {
                 let nodes = self.node.interested(etag, Side::Subscriber);
                 let leadership = self.leadership();
@@ -160,12 +201,7 @@ impl Segment {
     }
 
     /// An event of the segment that is to leave it: what is left of its time, or why it does not leave.
-    pub(crate) fn take(
-        &self,
-        at: usize,
-        channel: &ChannelConfig,
-        event: &Delivered<Payload>,
-    ) -> Result<(TxNode, Left), Outcome> {
+    pub(crate) fn take(&self, at: usize, channel: &ChannelConfig, event: &Leaving) -> Result<Left, Outcome> {
         let at_origin = self.channels[at].deadline;
         let now = self.node.now();
         let leadership = self.leadership();
@@ -176,30 +212,68 @@ impl Segment {
             self.passed_over().note(event.received_at);
             return Err(Outcome::StandingBy);
         }
-        let waited = now.saturating_since(event.received_at);
-        let left = Left::of_frame(channel, at_origin, event.id.priority(), self.step);
-        let left = left.after(waited).ok_or(Outcome::Expired)?;
-        Ok((event.publisher, left))
+        let waited = now.saturating_since(event.began_at);
+        let left = Left::of_frame(channel, at_origin, event.priority, self.step);
+        left.after(waited).ok_or(Outcome::Expired)
     }
 
-    /// An event for the segment. Never waits. Counts what becomes of it.
-    pub(crate) fn give(&self, at: usize, channel: &ChannelConfig, event: &Incoming<'_>) -> Outcome {
-        let outcome = self.publish(at, channel, event);
-        self.incoming.count(outcome);
-        outcome
-    }
-
-    fn publish(&self, at: usize, channel: &ChannelConfig, event: &Incoming<'_>) -> Outcome {
-        let Some(publisher) = &self.channels[at].publisher else { return Outcome::Denied };
-        let Some(content) = Payload::new(event.content) else { return Outcome::TooLong };
-        if self.conflicts(at, event.layout) {
-            return Outcome::LayoutMismatch;
-        }
+    /// An event for the segment. Never waits. What becomes of it is counted.
+    pub(crate) fn give(&self, at: usize, channel: &ChannelConfig, event: &Incoming<'_>) {
         let now = self.node.now();
-        if !self.leadership().may_forward(now) {
-            return Outcome::StandingBy;
+        let outcome = if self.conflicts(at, event.layout) {
+            Some(Outcome::LayoutMismatch)
+        } else if !self.leadership().may_forward(now) {
+            Some(Outcome::StandingBy)
+        } else {
+            let left = event.left.at_most(channel);
+            match &self.channels[at].entrance {
+                Entrance::Closed => Some(Outcome::Unwanted),
+                Entrance::Events(publisher) => {
+                    Some(self.publish(publisher, channel, event.content, left, now))
+                }
+                Entrance::Messages(outbox, bucket) => {
+                    let mut bucket = bucket.lock().unwrap_or_else(PoisonError::into_inner);
+                    // If it is taken, the outbox counts it.
+                    self.enqueue(outbox, &mut bucket, channel, event.content, left, now).err()
+                }
+            }
+        };
+        outcome.into_iter().for_each(|outcome| self.incoming.count(outcome));
+    }
+
+    fn enqueue(
+        &self,
+        outbox: &Outbox,
+        bucket: &mut Bucket,
+        channel: &ChannelConfig,
+        content: &[u8],
+        left: Left,
+        now: Instant,
+    ) -> Result<(), Outcome> {
+        if channel.longest_message.is_none_or(|longest| content.len() > longest) {
+            return Err(Outcome::TooLong);
         }
-        let left = event.left.at_most(channel);
+        let mut ceiling = self.ceiling.lock().unwrap_or_else(PoisonError::into_inner);
+        if !ceiling.has_room(now) {
+            return Err(Outcome::CeilingExceeded);
+        }
+        if !bucket.charge(now) {
+            return Err(Outcome::RateExceeded);
+        }
+        outbox.put(content, left.to_expiry.map(|left| now + left.max(Duration::from_ticks(1))))?;
+        (0..outbox::frames(content.len())).for_each(|_| ceiling.charge(Payload::MAX_LEN, now));
+        Ok(())
+    }
+
+    fn publish(
+        &self,
+        publisher: &Publisher<Payload>,
+        channel: &ChannelConfig,
+        content: &[u8],
+        left: Left,
+        now: Instant,
+    ) -> Outcome {
+        let Some(content) = Payload::new(content) else { return Outcome::TooLong };
         let mut published = Event::new(content);
         let is_late = left.to_deadline.is_some_and(|left| left.is_zero());
         if let Some(to_deadline) = left.to_deadline.filter(|_| channel.class != Class::NonRealTime) {
@@ -238,6 +312,13 @@ impl Segment {
     }
 }
 
+impl Port {
+    /// Events may enter here.
+    const fn enters(&self) -> bool {
+        !matches!(self.entrance, Entrance::Closed)
+    }
+}
+
 /// The channel as the gateway's node has it on a segment: plain bytes, so that it fits any layout.
 fn declare(channel: &ChannelConfig, segment: &SegmentConfig) -> Result<Channel<Payload>, String> {
     if channel.class == Class::Hard && channel.from.has(&segment.name) {
@@ -257,7 +338,9 @@ fn declare(channel: &ChannelConfig, segment: &SegmentConfig) -> Result<Channel<P
             Channel::soft(channel.subject, SoftAttributes { deadline, validity })
         }
     };
-    let declared = declared.with_rate(channel.rate);
+    // A message counts as one event, however many frames it has: it is charged before it is cut.
+    let declared =
+        if channel.longest_message.is_some() { declared } else { declared.with_rate(channel.rate) };
     Ok(match segment.etags.get(&channel.subject) {
         Some(etag) => declared.with_etag(*etag),
         None => declared,

@@ -8,7 +8,7 @@ use cosmic_core::protocol::{LayoutHash, Side};
 use cosmic_core::services::News;
 use cosmic_core::time::Instant;
 use cosmic_core::{Subject, broker};
-use tokio::sync::broadcast;
+use tokio::sync::{broadcast, watch};
 use tokio::task::JoinHandle;
 
 use crate::config::{BrokerTables, Config, StartError};
@@ -152,6 +152,12 @@ impl Node {
     /// than a thousand behind is told how many were lost.
     pub fn news(&self) -> broadcast::Receiver<News> {
         self.shared().news.subscribe()
+    }
+
+    /// Changes with each frame that the link has sent or given back: who sends one after the other waits for it. A frame
+    /// that expires before it comes to the link changes nothing.
+    pub fn departures(&self) -> watch::Receiver<u64> {
+        self.shared().departures.subscribe()
     }
 
     /// Waits until there is what is looked for. It is looked for whenever the link connects or a control frame has come.

@@ -42,6 +42,8 @@ pub(crate) struct Shared {
     pub(crate) link_wake: Notify,
     /// The core wants to be polled earlier than it said last.
     pub(crate) timer_wake: Notify,
+    /// How many frames have left: changes with each.
+    pub(crate) departures: watch::Sender<u64>,
     /// Changes whenever a wait for a condition is to look again.
     pub(crate) changed: watch::Sender<u64>,
     pub(crate) news: broadcast::Sender<News>,
@@ -92,6 +94,7 @@ impl Shared {
             core: Mutex::new(core),
             link_wake: Notify::new(),
             timer_wake: Notify::new(),
+            departures: watch::Sender::new(0),
             changed: watch::Sender::new(0),
             news: broadcast::Sender::new(NEWS),
             start,
@@ -208,6 +211,7 @@ impl End for Shared {
 
     fn conclude(&self, mailbox: Mailbox, outcome: Outcome) {
         self.act(|core, now| core.conclude(mailbox, outcome, now));
+        self.departures.send_modify(|departures| *departures = departures.wrapping_add(1));
     }
 
     fn unsent(&self) {

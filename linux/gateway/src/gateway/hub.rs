@@ -1,38 +1,32 @@
 //! What all tasks of a gateway share, and what it does with an event.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use cosmic_core::Subject;
-use cosmic_core::can::Payload;
-use cosmic_core::event_layer::Delivered;
 use cosmic_core::protocol::LayoutHash;
 use tokio::sync::Notify;
 use zenoh::Wait as _;
-use zenoh::sample::{Sample, SampleKind};
+use zenoh::sample::Sample;
 
 use super::outlet::Outlet;
 use crate::clock::Reading;
 use crate::config::ChannelConfig;
 use crate::counters::{Counters, Metrics, Outcome};
 use crate::encoding::Envelope;
-use crate::network::Network;
-use crate::segment::{Incoming, Left, Segment};
-use crate::sequence::Windows;
+use crate::keys::Name;
+use crate::network::{Admitted, Door, Network};
+use crate::segment::{Incoming, Leaving, Left, Segment};
 
 /// What all tasks of a gateway share.
 pub(super) struct Hub {
     pub(super) network: Network,
     pub(super) segments: Vec<Arc<Segment>>,
     pub(super) channels: Vec<ChannelConfig>,
-    pub(super) by_subject: HashMap<Subject, usize>,
     /// For each segment and channel: its way to IP, if it may leave.
     pub(super) outlets: Vec<Vec<Option<Outlet>>>,
     /// What comes from IP and belongs to no segment.
     pub(super) unassigned: Counters,
-    /// What has come from IP.
-    pub(super) windows: Windows,
+    pub(super) door: Door,
     pub(super) metrics: Metrics,
     pub(super) changed: Arc<Notify>,
     pub(super) has_company: AtomicBool,
@@ -45,16 +39,16 @@ impl Hub {
     }
 
     /// An event of a segment. Never waits.
-    pub(super) fn on_event(&self, segment: usize, channel: usize, event: &Delivered<Payload>) {
+    pub(super) fn on_event(&self, segment: usize, channel: usize, event: &Leaving) {
         let (of, config) = (&self.segments[segment], &self.channels[channel]);
-        let (node, left) = match of.take(channel, config, event) {
-            Ok(taken) => taken,
+        let left = match of.take(channel, config, event) {
+            Ok(left) => left,
             Err(outcome) => {
                 of.outgoing.count(outcome);
                 return;
             }
         };
-        let incoming = Incoming { content: event.content.as_slice(), layout: LayoutHash::UNSTATED, left };
+        let incoming = Incoming { content: &event.content, layout: LayoutHash::UNSTATED, left };
         let others =
             self.segments.iter().enumerate().filter(|(at, other)| *at != segment && other.wants(channel));
         let wanted_here = others.map(|(_, other)| other.give(channel, config, &incoming)).count() > 0;
@@ -65,14 +59,14 @@ impl Hub {
         };
         let envelope = Envelope {
             class: config.class,
-            node: Some(node),
+            node: Some(event.publisher),
             layout: LayoutHash::UNSTATED,
             sender: self.network.sender,
             sequence: outlet.sequence.fetch_add(1, Ordering::Relaxed),
             sent_at: Reading::now(),
             to_deadline: left.to_deadline,
             to_expiry: left.to_expiry,
-            content: event.content.as_slice().to_vec(),
+            content: event.content.clone(),
         };
         let put = outlet.publisher.put(envelope.encode()).wait();
         of.outgoing.count(if put.is_ok() { Outcome::Forwarded } else { Outcome::NotSent });
@@ -86,20 +80,10 @@ impl Hub {
     }
 
     fn pass(&self, channel: usize, sample: &Sample) -> Result<(), Outcome> {
-        let now = Reading::now();
-        let key = self.network.keys.read_event(sample.key_expr().as_str()).ok_or(Outcome::Malformed)?;
-        if sample.kind() != SampleKind::Put || self.by_subject.get(&key.subject) != Some(&channel) {
-            return Err(Outcome::Malformed);
-        }
-        if self.segments.iter().any(|segment| segment.name == key.segment) {
-            return Err(Outcome::ComeBack);
-        }
         let config = &self.channels[channel];
-        let bytes = sample.payload().to_bytes();
-        let envelope = Envelope::decode(&bytes).map_err(|_| Outcome::Malformed)?;
-        let missing = self.windows.note(&key, &envelope, now)?;
-        self.unassigned.count_many(Outcome::Missing, missing);
-        let age = self.network.peers.age(&key.segment, &envelope, now)?;
+        let is_own = |name: &Name| self.segments.iter().any(|segment| segment.name == *name);
+        let admitted = self.door.admit(sample, config.subject, is_own, &self.unassigned)?;
+        let Admitted { envelope, age, .. } = admitted;
         let left = Left { to_deadline: envelope.to_deadline, to_expiry: envelope.to_expiry };
         // An event whose sender states no expiry gets that of the channel, from when it was sent.
         let left = left.at_most(config).after(age).ok_or(Outcome::Expired)?;

@@ -12,8 +12,10 @@ use tokio::time::Instant;
 use zenoh::sample::{Locality, Sample};
 
 use super::hub::Hub;
+use super::messages::Assembly;
 use crate::error::StartError;
 use crate::network::{Voice, failed};
+use crate::segment::Leaving;
 
 /// All that is open. It closes when it is dropped.
 struct Ways {
@@ -147,9 +149,16 @@ impl Ways {
 }
 
 async fn read(hub: Arc<Hub>, segment: usize, channel: usize, subscriber: Subscriber<Payload>) {
+    let mut messages = hub.channels[channel].longest_message.map(|_| Assembly::new());
     loop {
         let event = subscriber.next().await;
-        hub.on_event(segment, channel, &event);
+        let leaving = match &mut messages {
+            Some(messages) => messages.on_frame(&event, &hub.segments[segment].outgoing),
+            None => Some(Leaving::from(&event)),
+        };
+        if let Some(leaving) = leaving {
+            hub.on_event(segment, channel, &leaving);
+        }
     }
 }
 

@@ -97,6 +97,7 @@ mod tests {
             importance: Importance::LEAST,
             rate: EventRate::sporadic(ms(1)),
             longest_wait: None,
+            longest_message: None,
             from: Reach::All,
             to: Reach::All,
             unasked: Vec::new(),

@@ -85,8 +85,11 @@ impl Segment {
         Node::start(config, SegmentLink::new(&self.path)).unwrap()
     }
 
-    pub(crate) fn tap(&self) -> Tap {
-        Tap::start(SegmentLink::new(&self.path))
+    /// Hears all from now on.
+    pub(crate) async fn tap(&self) -> Tap {
+        let tap = Tap::start(SegmentLink::new(&self.path));
+        while tap.next().await.what != What::Connected {}
+        tap
     }
 }
 

@@ -27,7 +27,7 @@ fn etag(number: u16) -> Etag {
 async fn an_event_crosses_in_both_directions_under_the_etag_of_each_segment() {
     let bed = start(HEAT_TABLE).await;
     let (west, east) = (HEAT.with_etag(etag(ETAG_WEST)), HEAT.with_etag(etag(ETAG_EAST)));
-    let tap = bed.east.tap();
+    let tap = bed.east.tap().await;
     let (in_west, in_east) = (bed.west.node(1), bed.east.node(1));
     let from_west = in_west.subscribe(&west, fifo(100)).unwrap();
     let from_east = in_east.subscribe(&east, fifo(100)).unwrap();
@@ -94,7 +94,7 @@ async fn an_event_crosses_in_both_directions_under_the_etag_of_each_segment() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn only_what_somebody_wants_crosses_and_it_stops_when_interest_ends() {
     let bed = start(HEAT_TABLE).await;
-    let tap = bed.east.tap();
+    let tap = bed.east.tap().await;
     let (sensor, display) = (bed.west.node(1), bed.east.node(1));
     let heat = sensor.announce(&HEAT.with_etag(etag(ETAG_WEST))).unwrap();
     heat.bound().await;

@@ -49,7 +49,7 @@ impl Bed {
         let publisher = pair.west.node(1).announce(&COMMAND).unwrap();
         let subscriber = pair.east.node(1).subscribe(&COMMAND, Policy::Latest).unwrap();
         publisher.bound().await;
-        let tap = pair.east.tap();
+        let tap = pair.east.tap().await;
         let mut bed =
             Self { pair, publisher, _subscriber: subscriber, tap, published: Vec::new(), heard: Vec::new() };
         bed.until_it_crosses().await;

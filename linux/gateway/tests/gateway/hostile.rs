@@ -76,7 +76,7 @@ impl Bed {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn each_kind_of_nonsense_is_counted_and_nothing_of_it_reaches_the_bus() {
     let bed = Bed::start("").await;
-    let tap = bed.bus.tap();
+    let tap = bed.bus.tap().await;
     // Twice the same, then one that left a gap of three.
     let one = bed.envelope(&[0, 1]);
     bed.put(one.clone()).await;
@@ -134,7 +134,7 @@ async fn each_kind_of_nonsense_is_counted_and_nothing_of_it_reaches_the_bus() {
 async fn a_babbling_participant_exceeds_neither_the_rate_nor_the_ceiling() {
     // The channel may have 1000 events a second; a hundredth of the bus are 80 of its frames of two bytes.
     let bed = Bed::start("ceiling = 1").await;
-    let tap = bed.bus.tap();
+    let tap = bed.bus.tap().await;
     let told = || {
         let all = Outcome::ALL.iter();
         all.map(|outcome| bed.of_segment(*outcome) + bed.of_ip(*outcome)).sum::<u64>()

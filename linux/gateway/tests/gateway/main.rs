@@ -8,6 +8,7 @@ mod cuts;
 mod ends;
 mod hostile;
 mod ip;
+mod messages;
 mod program;
 mod redundant;
 mod secure;

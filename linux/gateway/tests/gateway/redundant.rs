@@ -102,7 +102,7 @@ async fn another_gateway_takes_over_and_states_what_was_perhaps_lost() {
 async fn who_leads_for_another_network_has_forwarded_nothing_of_ours() {
     let bus = Segment::start().await;
     let (listen, connect, channels) = (port(), &[], HEAT_TABLE);
-    let tap = bus.tap();
+    let tap = bus.tap().await;
     let setup = Setup { segment: "west", bus: &bus, tx_node: 101, listen, connect, more: ETAGS, channels };
     let gateway = setup.start().await;
     let stranger = Stranger::start(listen, "stranger").await;

@@ -21,6 +21,8 @@ pub(super) type Heard = Arc<Mutex<Vec<Far>>>;
 /// What the gateways have told of what did not come.
 pub(super) struct Account {
     pub(super) counted: Vec<Counted>,
+    /// What nodes have told, by the side to which it did not come.
+    pub(super) of_nodes: [u64; 2],
     /// What the stranger has sent.
     pub(super) sent: u64,
     pub(super) kills: Vec<(Station, Instant)>,
@@ -55,7 +57,7 @@ impl Verdict {
             let age = at.saturating_duration_since(published);
             assert!(age < VALIDITY + SLACK, "seed {seed}: {content:08X} came after {age:?} to side {side}");
         }
-        let is_of_side = |counted: &&Counted| usize::from(counted.station == Station::East) == side;
+        let is_of_side = |counted: &&Counted| counted.station.side() == side;
         let lives = self.account.counted.iter().filter(is_of_side).count() as u64;
         for (tag, (interval, burst)) in TAGS.iter().zip(RATES) {
             let of_tag: Vec<_> =
@@ -100,8 +102,8 @@ impl Verdict {
 
 impl Account {
     fn told(&self, side: usize) -> u64 {
-        let into = self.counted.iter().filter(|it| usize::from(it.station == Station::East) == side);
-        let from = self.counted.iter().filter(|it| usize::from(it.station == Station::East) != side);
+        let into = self.counted.iter().filter(|it| it.station.side() == side);
+        let from = self.counted.iter().filter(|it| it.station.side() != side);
         let all = |counters: &Counters, but: &[Outcome]| -> u64 {
             Outcome::ALL.iter().filter(|it| !but.contains(it)).map(|it| counters.get(*it)).sum()
         };
@@ -109,11 +111,13 @@ impl Account {
         let out = [Outcome::Forwarded, Outcome::OfGateway, Outcome::StandingBy];
         let of_origin: u64 = from.map(|it| all(&it.outgoing, &out)).sum();
         let passed = [Outcome::Forwarded, Outcome::ForwardedLate];
-        of_origin + into.map(|it| all(&it.incoming, &passed) + all(&it.of_ip, &[])).sum::<u64>()
+        self.of_nodes[side]
+            + of_origin
+            + into.map(|it| all(&it.incoming, &passed) + all(&it.of_ip, &[])).sum::<u64>()
     }
 
     fn text(&self) -> String {
-        let mut text = String::new();
+        let mut text = format!("\nnodes: {:?}", self.of_nodes);
         for counted in &self.counted {
             for (what, counters) in
                 [("out", &counted.outgoing), ("in", &counted.incoming), ("of IP", &counted.of_ip)]

@@ -82,6 +82,11 @@ impl Station {
         }
     }
 
+    /// West is zero.
+    pub(super) const fn side(self) -> usize {
+        matches!(self, Self::East) as usize
+    }
+
     const fn tx_node(self) -> u8 {
         match self {
             Self::First | Self::East => 100,
@@ -111,7 +116,7 @@ pub(super) struct World {
     gateways: [Option<Gateway>; 3],
     counted: Vec<Counted>,
     stranger: Stranger,
-    _nodes: [Node; 2],
+    nodes: [Node; 2],
     _subscribers: Vec<Subscriber<u32>>,
     tasks: Vec<JoinHandle<()>>,
     /// Of commands, reports, noise.
@@ -121,6 +126,8 @@ pub(super) struct World {
     /// What the stranger has sent, with nonsense and what is stale.
     sent: u64,
     stale: Vec<u32>,
+    /// What nodes have told that was to come to the west, and to the east, and was not sent or not fetched in time.
+    of_nodes: [u64; 2],
     /// Around these instants events may have died with a gateway.
     kills: Vec<(Station, Instant)>,
 }
@@ -215,7 +222,8 @@ impl World {
             gateways,
             counted,
             stranger,
-            _nodes: nodes,
+            nodes,
+            of_nodes: [0; 2],
             _subscribers: subscribers,
             tasks,
             published,
@@ -272,7 +280,9 @@ impl World {
 
     async fn kill(&mut self, station: Station, pause: Span, forgets: bool) {
         self.kills.push((station, Instant::now()));
-        drop(self.gateways[station as usize].take());
+        if let Some(gateway) = self.gateways[station as usize].take() {
+            self.ask(gateway.node(&name(station.segment())).unwrap(), station.side());
+        }
         tokio::time::sleep(pause).await;
         if forgets {
             let _ = std::fs::remove_file(self.folder.path().join("table"));
@@ -290,6 +300,18 @@ impl World {
         if station == Station::East {
             // The stranger has lost its connection, and the east does not know its clock.
             tokio::time::sleep(Span::from_millis(1500)).await;
+        }
+    }
+
+    /// What a node of a side has told.
+    fn ask(&mut self, node: &Node, side: usize) {
+        for (at, tag) in TAGS.iter().enumerate() {
+            let counters = node.channel_counters(channel(*tag).subject()).unwrap_or_default();
+            if at == side {
+                self.of_nodes[1 - side] += u64::from(counters.discarded + counters.overflowed);
+            } else {
+                self.of_nodes[side] += u64::from(counters.discarded);
+            }
         }
     }
 
@@ -346,8 +368,21 @@ impl World {
         let published = self.published.each_ref().map(|it| it.lock().unwrap().clone());
         let heard = self.heard.each_ref().map(|it| it.lock().unwrap().clone());
         let kills = std::mem::take(&mut self.kills);
+        for station in Station::ALL {
+            let gateway = self.gateways[station as usize].as_ref().unwrap();
+            let node = gateway.node(&name(station.segment())).unwrap().clone();
+            self.ask(&node, station.side());
+        }
+        for (side, node) in self.nodes.clone().iter().enumerate() {
+            self.ask(node, side);
+        }
         let verdict = Verdict {
-            account: Account { counted: std::mem::take(&mut self.counted), sent: self.sent, kills },
+            account: Account {
+                counted: std::mem::take(&mut self.counted),
+                of_nodes: self.of_nodes,
+                sent: self.sent,
+                kills,
+            },
             published,
             heard,
             stale: std::mem::take(&mut self.stale),
