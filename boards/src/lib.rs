@@ -11,6 +11,7 @@
 //! * [`bxcan_status`]: the error counters, and the interrupt that tells when they have become bad.
 //! * [`bit_timing`]: the bit timing register for a bit rate.
 //! * [`clock`]: the monotonic timer, and its conversion to the middleware's local time.
+//! * [`watchdog`], [`reset`]: the independent watchdog; why the part has started, and what it knew before.
 //! * [`stm32f4`]: brings a board up and hands out the parts.
 //!
 //! All but [`clock`] and [`stm32f4`] also builds on the host, where memory stands in for the registers.
@@ -27,9 +28,11 @@ pub mod bxcan_tx;
 #[cfg(target_arch = "arm")]
 pub mod clock;
 mod registers;
+pub mod reset;
 mod runtime;
 #[cfg(target_arch = "arm")]
 pub mod stm32f4;
+pub mod watchdog;
 
 #[cfg(target_arch = "arm")]
 pub use stm32f4::Stm32F405;

@@ -141,6 +141,7 @@ impl Stm32F405 {
             .pclk1(Hertz::from_raw(APB1))
             .pclk2(Hertz::from_raw(APB2));
         let Resources { rcc, port, can: _, timer: tim2 } = resources;
+        stay_visible_asleep();
         start_crystal(&rcc)?;
         let mut rcc = rcc.freeze(clocks);
         pac::TIM2::enable(&mut rcc);
@@ -181,6 +182,13 @@ impl Stm32F405 {
         let points = Some(points);
         Ok(Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, points, pins, rcc })
     }
+}
+
+/// RTIC sleeps when no task has anything to do. A debug probe that attaches then finds no core unless the clocks stay on
+/// (RM0090, debug support for low-power modes); it reads the logs in memory as before.
+fn stay_visible_asleep() {
+    // SAFETY: a bit that nobody else changes.
+    unsafe { (*pac::DBGMCU::ptr()).cr().modify(|_, w| w.dbg_sleep().set_bit()) };
 }
 
 /// Starts the crystal (RM0090, 7.2.1). Who sets the clocks waits for it without end, so it runs before.

@@ -189,6 +189,8 @@ fn membership_examples() -> Vec<Example> {
         uptime: Uptime::new(Duration::from_secs(3600)),
         ..NodeStatus::first(NODE, NodeState::Operational)
     };
+    let by_watchdog =
+        NodeStatus { reset_cause: ResetCause::Watchdog, ..NodeStatus::first(NODE, NodeState::Operational) };
     vec![
         Example {
             says: "Interest: node 0x2A announces etag 0x3FFE, SRT, for 3.0 s, layout DEADBEEF",
@@ -214,6 +216,11 @@ fn membership_examples() -> Vec<Example> {
             says: "Node status: HRT inhibited, TEC 128, REC 5, sequence 7, 258 exceptions, up for an hour",
             message: ControlMessage::NodeStatus(status),
             wire: "1F4A8013#0280050701020E10",
+        },
+        Example {
+            says: "Node status: node 0x2A was reset by its watchdog, and is operational",
+            message: ControlMessage::NodeStatus(by_watchdog),
+            wire: "1F4A8013#5100000000000000",
         },
     ]
 }

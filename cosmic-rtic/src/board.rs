@@ -106,6 +106,12 @@ pub trait BusChanges {
     fn take_bus_off(&mut self) -> bool;
 }
 
+/// Resets the node unless it is fed in time.
+pub trait Watchdog {
+    /// It starts to count anew.
+    fn feed(&mut self);
+}
+
 /// Waits until one of them has ended.
 async fn either(one: impl Future<Output = ()>, other: impl Future<Output = ()>) {
     let (mut one, mut other) = (pin!(one), pin!(other));

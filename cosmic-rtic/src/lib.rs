@@ -24,6 +24,10 @@
 //! [critical section](Hard) for the time of one copy. Interrupts and the calendar task hand over to the event task
 //! by queues without locks. What a full queue or FIFO loses becomes an exception, as does a bus-off.
 //!
+//! # A node that hangs
+//! [`Progress`] feeds a watchdog while both halves of the node and the application go on, and [`Memory`] keeps the last
+//! exceptions over a reset. A node that names neither in its [`System`] has nothing of them in its image.
+//!
 //! # Another board
 //! A board implements [`Board`] in its own crate, and is named in a [`System`].
 #![no_std]
@@ -36,6 +40,7 @@ pub mod board;
 mod departures;
 mod hard;
 mod inbox;
+mod kept;
 #[cfg(feature = "defmt")]
 mod log;
 pub mod messages;
@@ -44,6 +49,7 @@ pub mod observer;
 mod signal;
 mod spsc;
 mod start;
+mod supervision;
 mod system;
 mod tasks;
 
@@ -53,12 +59,14 @@ pub use application::{
 };
 pub use board::Board;
 pub use hard::Hard;
+pub use kept::{KEPT, Kept, Memory};
 #[cfg(feature = "defmt")]
 pub use log::Log;
 pub use messages::{Message, MessageError, MessagePublisher, MessageSubscriber, publish_message_every};
 pub use node::Node;
 pub use observer::{CalendarObserver, Observer, Observes};
 pub use start::{Parts, Storage, start, start_observed, start_with};
+pub use supervision::Progress;
 pub use system::{PlannedHost, StartError, System, Timed};
 pub use tasks::{Calendar, Events, Other, Outcomes, Status, Urgent};
 

@@ -11,6 +11,7 @@ use cosmic_core::event_layer::{
     AnnounceError, Channel, ChannelCounters, Content, Delivered, Event, Exception, ExceptionKind, Filter,
     Policy, Publication, PublishError, SubscribeError, Subscription,
 };
+use cosmic_core::protocol::ResetCause;
 use cosmic_core::services::News;
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
 
@@ -53,6 +54,11 @@ impl<T: System> Node<T> {
     pub fn ask_services<R>(&mut self, ask: impl FnOnce(&mut T::Services) -> R) -> R {
         self.wake.raise();
         ask(self.half.services_mut())
+    }
+
+    /// Why the node has started: its status tells it, where it has one.
+    pub fn set_reset_cause(&mut self, cause: ResetCause) {
+        self.half.services_mut().set_reset_cause(cause);
     }
 
     /// The observer.
@@ -232,11 +238,12 @@ impl<T: System> Node<T> {
         {
             waker.wake();
         }
+        self.observer.attended();
         next
     }
 
     /// The calendar task has other slots, and the services more to say.
-    fn wake_both(&mut self) {
+    pub(crate) fn wake_both(&mut self) {
         self.wake_calendar.raise();
         self.wake.raise();
     }

@@ -17,6 +17,9 @@ pub trait Observer: 'static {
         let _ = exception;
     }
 
+    /// The event task has taken a turn.
+    fn attended(&mut self) {}
+
     /// The application has subscribed to a channel.
     fn subscribed(&mut self, subject: Subject, filter: Filter, policy: Policy, at: Instant) {
         let _ = (subject, filter, policy, at);
@@ -73,6 +76,12 @@ impl<A: Observer, B: Observer> Observer for (A, B) {
     fn exception(&mut self, exception: &Exception) {
         self.0.exception(exception);
         self.1.exception(exception);
+    }
+
+    #[inline]
+    fn attended(&mut self) {
+        self.0.attended();
+        self.1.attended();
     }
 
     fn subscribed(&mut self, subject: Subject, filter: Filter, policy: Policy, at: Instant) {

@@ -4,6 +4,7 @@ use cosmic_core::admission::AdmissionTiming;
 use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
 use cosmic_core::can::TxNode;
 use cosmic_core::plan::NodePlan;
+use cosmic_core::protocol::ResetCause;
 use cosmic_core::services::{
     AdmittingBroker, ClockService, Hosted, NamingService, News, NodeConfig, NodeServices, Services,
 };
@@ -66,6 +67,11 @@ pub trait Timed: Services + Sized {
         true
     }
 
+    /// Why the node has started, for services that tell others.
+    fn set_reset_cause(&mut self, cause: ResetCause) {
+        let _ = cause;
+    }
+
     /// The oldest piece of news that has not been fetched, of services that tell of the cluster.
     fn take_news(&mut self) -> Option<News> {
         None
@@ -102,6 +108,10 @@ impl<
 
     fn is_bound(&self, subject: Subject) -> bool {
         self.tx_node().is_some() && self.etag_of(subject).is_some()
+    }
+
+    fn set_reset_cause(&mut self, cause: ResetCause) {
+        self.set_reset_cause(cause);
     }
 
     fn take_news(&mut self) -> Option<News> {

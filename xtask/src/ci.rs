@@ -68,14 +68,14 @@ fn clippy(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     host.args(["clippy", "--all-targets", "--", "--deny", "warnings"]);
     let mut emulator = workspace.cargo();
     emulator.args(["clippy", "--release", "--all-targets"]);
-    emulator.args(demo::EMULATED_TESTS);
+    emulator.args(demo::EMULATED_TESTS).args(["--package", "cosmic-trials"]);
     emulator.args(["--", "--deny", "warnings"]);
     let mut tally = Tally::default();
     tally.add(check("clippy on the host", &mut host));
     tally.add(check("clippy on the emulated cluster", &mut emulator));
     // Debian has no clippy for its compiler; there the compiler's own warnings must do.
     if *way == TargetWay::Rustup {
-        for package in ["firmware", images::SMALL, qemu::PACKAGE] {
+        for package in ["firmware", images::SMALL, images::TRIALS, qemu::PACKAGE] {
             let mut target = way.cargo(workspace, "clippy");
             target.args(["--package", "boards", "--package", package, "--", "--deny", "warnings"]);
             tally.add(check(&format!("clippy on {package}"), &mut target));
@@ -102,7 +102,9 @@ fn documentation(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let cluster = plan::find(plan::example(workspace))?;
     let mut warnings = images::firmware(workspace, way, &cluster, &[])?.warnings;
-    warnings += images::build(way.cargo(workspace, "build"), qemu::PACKAGE, images::PROFILE, &[])?.warnings;
+    for package in [images::TRIALS, qemu::PACKAGE] {
+        warnings += images::build(way.cargo(workspace, "build"), package, images::PROFILE, &[])?.warnings;
+    }
     warnings += images::small(workspace, way, &[])?.warnings;
     if warnings > 0 {
         bail!("{warnings} warnings about code for the target; see above");

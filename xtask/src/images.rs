@@ -174,6 +174,9 @@ impl CargoLine {
     }
 }
 
+/// The package of images that misbehave on purpose.
+pub(crate) const TRIALS: &str = "trials";
+
 /// The profile of what is flashed, in the workspace's manifest.
 pub(crate) const PROFILE: &str = "firmware";
 /// The package of the nodes whose size is a goal, and their profile.

@@ -132,11 +132,23 @@ pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> 
     command.env(IMAGES, directory);
     command.env(SMALL_IMAGES, small.directory().context("there are no small images")?);
     let mut tally = step("testing the firmware in the emulated cluster", || cargo_test(&mut command))?;
+    tally.add(trials(workspace, way));
     tally.add(step("testing a new repository, made outside this one", || new_repository(workspace, way)));
     tally.add(step("testing a workshop that configures itself, outside this repository", || {
         workshop(workspace, way)
     }));
     Ok(tally)
+}
+
+/// The images that misbehave on purpose, in the emulated cluster.
+fn trials(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
+    let built = step("building the images of the trials", || {
+        images::build(way.cargo(workspace, "build"), images::TRIALS, images::PROFILE, &[])
+    })?;
+    let mut command = workspace.cargo();
+    command.args(["test", "--no-fail-fast", "--release", "--package", "cosmic-trials"]);
+    command.env(IMAGES, built.directory().context("there are no images")?);
+    step("testing nodes that hang, in the emulated cluster", || cargo_test(&mut command))
 }
 
 /// Makes a repository as a user would, in a folder outside this one, builds it, and runs its own test. It shares

@@ -1,7 +1,7 @@
 //! This node's own status.
 
 use crate::can::{Frame, TxNode};
-use crate::protocol::{NodeState, NodeStatus, Uptime};
+use crate::protocol::{NodeState, NodeStatus, ResetCause, Uptime};
 use crate::time::{Duration, Instant};
 
 /// How this node fares.
@@ -27,12 +27,25 @@ pub struct StatusReport {
     send_at: Instant,
     sequence: u8,
     told: Option<NodeState>,
+    reset_cause: ResetCause,
 }
 
 impl StatusReport {
     /// A node that started at `now`; its first status is due at once.
     pub const fn new(now: Instant, period: Duration) -> Self {
-        Self { started_at: now, period, send_at: now, sequence: 0, told: None }
+        Self {
+            started_at: now,
+            period,
+            send_at: now,
+            sequence: 0,
+            told: None,
+            reset_cause: ResetCause::Unknown,
+        }
+    }
+
+    /// Why the node has started, which each status from now on tells.
+    pub const fn set_reset_cause(&mut self, cause: ResetCause) {
+        self.reset_cause = cause;
     }
 
     /// The status, when it is due; non real-time.
@@ -43,6 +56,7 @@ impl StatusReport {
         let status = NodeStatus {
             tx_node,
             state: health.state,
+            reset_cause: self.reset_cause,
             transmit_errors: health.transmit_errors,
             receive_errors: health.receive_errors,
             sequence: self.sequence,

@@ -45,7 +45,7 @@ pub(crate) use halves::{Halves, Supply};
 pub use identity::{BrokerStatus, NodeIdentity, Probe};
 pub use interest::{Class, Interest, LayoutHash, Lease, Side};
 pub use output::Output;
-pub use status::{NodeState, NodeStatus, Uptime};
+pub use status::{NodeState, NodeStatus, ResetCause, Uptime};
 pub use sync::{FollowUp, Rank, SyncMessage, SyncSequence};
 
 /// Any control message of configuration, binding and membership.

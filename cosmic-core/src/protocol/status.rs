@@ -19,6 +19,58 @@ pub enum NodeState {
     Leaving = 3,
 }
 
+/// Why a node has started.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ResetCause {
+    /// It does not know, or does not say.
+    #[default]
+    Unknown = 0,
+    /// It was switched on.
+    PowerOn = 1,
+    /// Its supply voltage was too low for a while.
+    BrownOut = 2,
+    /// Its reset pin, as by a debug probe or a button.
+    Pin = 3,
+    /// Its software asked for it.
+    Software = 4,
+    /// Its watchdog: a part of the node made no progress.
+    Watchdog = 5,
+    /// It was reset when it went to a mode of low power.
+    LowPower = 6,
+}
+
+impl ResetCause {
+    /// All of them, by their numbers.
+    pub const ALL: [Self; 7] = [
+        Self::Unknown,
+        Self::PowerOn,
+        Self::BrownOut,
+        Self::Pin,
+        Self::Software,
+        Self::Watchdog,
+        Self::LowPower,
+    ];
+
+    /// What it is called.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Unknown => "unknown",
+            Self::PowerOn => "power-on",
+            Self::BrownOut => "brown-out",
+            Self::Pin => "reset pin",
+            Self::Software => "software",
+            Self::Watchdog => "watchdog",
+            Self::LowPower => "low power",
+        }
+    }
+
+    /// The cause of this number. One that is not known here, from a newer node, is as good as unknown.
+    pub fn numbered(number: u8) -> Self {
+        Self::ALL.get(usize::from(number)).copied().unwrap_or_default()
+    }
+}
+
 /// How long a node has run, in whole seconds; stays at [`Uptime::MAX`] when it gets there.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -42,8 +94,8 @@ impl Uptime {
     }
 }
 
-/// `[state, TEC, REC, sequence, exceptions (16 bits), uptime in seconds (16 bits)]`, the sender in the
-/// identifier.
+/// `[reset cause (4 bits), state (4 bits), TEC, REC, sequence, exceptions (16 bits), uptime in seconds (16 bits)]`, the
+/// sender in the identifier.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NodeStatus {
@@ -51,6 +103,8 @@ pub struct NodeStatus {
     pub tx_node: TxNode,
     /// What it does.
     pub state: NodeState,
+    /// Why it has started.
+    pub reset_cause: ResetCause,
     /// Its transmit error counter (TEC), at most 255.
     pub transmit_errors: u8,
     /// Its receive error counter (REC), at most 255.
@@ -69,6 +123,7 @@ impl NodeStatus {
         Self {
             tx_node,
             state,
+            reset_cause: ResetCause::Unknown,
             transmit_errors: 0,
             receive_errors: 0,
             sequence: 0,
@@ -88,15 +143,16 @@ impl NodeStatus {
     /// The frame of this message.
     pub fn encode(&self) -> Frame {
         let ([a, b], [c, d]) = (self.exceptions.to_be_bytes(), self.uptime.0.to_be_bytes());
-        let data = [self.state as u8, self.transmit_errors, self.receive_errors, self.sequence, a, b, c, d];
+        let first = (self.reset_cause as u8) << 4 | self.state as u8;
+        let data = [first, self.transmit_errors, self.receive_errors, self.sequence, a, b, c, d];
         control_frame(self.tx_node, Etag::NODE_STATUS, data)
     }
 
     /// The message in `frame`, if it is one.
     pub fn decode(frame: &Frame) -> Option<Self> {
-        let [state, transmit_errors, receive_errors, sequence, a, b, c, d] =
+        let [first, transmit_errors, receive_errors, sequence, a, b, c, d] =
             control_data(frame, Etag::NODE_STATUS)?;
-        let state = match state {
+        let state = match first & 0xF {
             0 => NodeState::Starting,
             1 => NodeState::Operational,
             2 => NodeState::HardInhibited,
@@ -106,6 +162,7 @@ impl NodeStatus {
         Some(Self {
             tx_node: frame.id.tx_node(),
             state,
+            reset_cause: ResetCause::numbered(first >> 4),
             transmit_errors,
             receive_errors,
             sequence,

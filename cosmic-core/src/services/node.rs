@@ -7,7 +7,7 @@ use crate::can::{Etag, Frame, Id, Priority, TxNode, TxNodes};
 use crate::client::{AdmissionClient, Binding, BindingEvent, Configuration, ConfigurationEvent, OnDuplicate};
 use crate::event_layer::{AnnounceError, ExceptionKind, Gate};
 use crate::membership::{Declarations, Health, Interests, MemberEvent, Members, StatusReport};
-use crate::protocol::{Class, LayoutHash, NodeState, Output, Side};
+use crate::protocol::{Class, LayoutHash, NodeState, Output, ResetCause, Side};
 use crate::ring::Ring;
 use crate::seal::{Contradiction, Refusals, Warden};
 use crate::services::ClockService;
@@ -163,6 +163,11 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     /// What a sealed node has refused; `None` in an open cluster.
     pub fn refusals(&self) -> Option<&Refusals> {
         self.warden.as_ref().map(Warden::refusals)
+    }
+
+    /// Why the node has started, for its status.
+    pub const fn set_reset_cause(&mut self, cause: ResetCause) {
+        self.report.set_reset_cause(cause);
     }
 
     /// Gives the TxNode back to the broker, for good: the node falls silent.

@@ -126,9 +126,23 @@ pub const CONTROL: &[Control] = &[
         len: 8,
         fields: &[
             field(
-                "state",
+                "reset_cause",
                 0,
-                8,
+                4,
+                Shown::Names(&[
+                    (0, "unknown"),
+                    (1, "power-on"),
+                    (2, "brown-out"),
+                    (3, "reset pin"),
+                    (4, "software"),
+                    (5, "watchdog"),
+                    (6, "low power"),
+                ]),
+            ),
+            field(
+                "state",
+                4,
+                4,
                 Shown::Names(&[(0, "starting"), (1, "operational"), (2, "HRT inhibited"), (3, "leaving")]),
             ),
             field("transmit_errors", 8, 8, Shown::Decimal("")),
@@ -184,7 +198,9 @@ const VERDICTS: &[(u64, &str)] = &[
 mod tests {
     use super::*;
     use cosmic_core::can::{Frame, Id, Payload, Priority, TxNode};
-    use cosmic_core::protocol::{AdmissionVerdict, CoarseSpan, ControlMessage, FollowUp, SyncMessage};
+    use cosmic_core::protocol::{
+        AdmissionVerdict, CoarseSpan, ControlMessage, FollowUp, ResetCause, SyncMessage,
+    };
     use cosmic_core::time::Duration;
 
     fn read(message: &Control, bytes: [u8; 8], name: &str) -> u64 {
@@ -240,6 +256,9 @@ mod tests {
             let field = |name: &str| read(control, bytes, name);
             match message {
                 Some(ControlMessage::NodeStatus(status)) => {
+                    // Causes of newer nodes are unknown.
+                    let cause = u8::try_from(field("reset_cause")).unwrap();
+                    assert_eq!(ResetCause::numbered(cause), status.reset_cause);
                     assert_eq!(field("state"), status.state as u64);
                     assert_eq!(field("transmit_errors"), u64::from(status.transmit_errors));
                     assert_eq!(field("receive_errors"), u64::from(status.receive_errors));

@@ -4,7 +4,7 @@ use cosmic_core::NodeUid;
 use cosmic_core::can::{Frame, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::protocol::{
-    Answer, ConfigurationReply, ControlMessage, Interest, NodeState, NodeStatus, SupplyEtag, SyncMessage,
+    Answer, ConfigurationReply, ControlMessage, Interest, NodeState, NodeStatus, ResetCause, SupplyEtag, SyncMessage,
 };
 use cosmic_core::time::{Duration, Instant};
 
@@ -81,7 +81,11 @@ impl Monitor {
             return;
         }
         if told.restarted {
-            self.feed.add(News::new(NoticeKind::NodeRestarted, "the node has started again").of(tx_node), at);
+            let text = match status.reset_cause {
+                ResetCause::Unknown => "the node has started again".to_owned(),
+                cause => format!("the node has started again: {}", cause.name()),
+            };
+            self.feed.add(News::new(NoticeKind::NodeRestarted, text).of(tx_node), at);
         }
         if let Some(before) = told.state_before {
             let text =

@@ -203,6 +203,7 @@ fn of_message(message: &ControlMessage) -> Named {
             "node status",
             vec![
                 field("state", &state(status.state)),
+                field("started by", &status.reset_cause.name()),
                 field("tec", &status.transmit_errors),
                 field("rec", &status.receive_errors),
                 field("sequence", &status.sequence),

@@ -10,7 +10,7 @@ use cosmic_bus::{Bus, BusOffRecovery, Event, StationId, VirtualInstant, time};
 
 use crate::image::LoadError;
 use crate::node::{Node, NodeConfig};
-use crate::observation::{Masked, NodeId, Observation, ObservationKind};
+use crate::observation::{Masked, NodeId, Observation, ObservationKind, ResetCause};
 use crate::soc::can::Command;
 use crate::station::{Port, Station};
 
@@ -98,6 +98,12 @@ impl Cluster {
         self.nodes[node.0].0.pace().instructions()
     }
 
+    /// Cycles of its core clock that a node has been awake since it started: it executed instructions, or entered or left
+    /// handlers, and did not wait in a WFI.
+    pub fn awake(&self, node: NodeId) -> u64 {
+        self.nodes[node.0].0.pace().awake()
+    }
+
     /// What the counter of TIM2 of a node shows, as a debug probe would read it, and the true instant since
     /// when it shows that; `None` while the timer stands. Relates the local time of firmware that counts it
     /// there to true time.
@@ -175,6 +181,20 @@ impl Cluster {
         observations
     }
 
+    /// Pulls the reset pin of a node at the present instant: its power stays on. One that is off stays off.
+    pub fn reset(&mut self, node: NodeId) {
+        let at = self.bus.now();
+        let (it, station) = &mut self.nodes[node.0];
+        if it.is_off() {
+            return;
+        }
+        it.note(at, ObservationKind::Reset(ResetCause::Pin));
+        self.bus.disconnect(at, *station);
+        self.bus.reset(at, *station);
+        self.commands.retain(|(_, owner, _)| *owner != node);
+        self.nodes[node.0].0.reset(at, ResetCause::Pin);
+    }
+
     /// Lets time pass until `to`. Nodes stop within a few cycles of it.
     pub fn run_until(&mut self, to: VirtualInstant) {
         loop {
@@ -223,21 +243,20 @@ impl Cluster {
     fn run_node(&mut self, node: usize, to: VirtualInstant) {
         let until = self.bus.quiet_until().min(to);
         self.nodes[node].0.run(until);
-        if self.nodes[node].0.wants_reset() {
-            self.reset_node(node);
+        if let Some(cause) = self.nodes[node].0.wants_reset() {
+            self.reset_node(node, cause);
         }
         self.collect(node);
     }
 
-    /// AIRCR.SYSRESETREQ.
-    fn reset_node(&mut self, node: usize) {
-        let at = self.nodes[node].0.acts_at();
+    fn reset_node(&mut self, node: usize, cause: ResetCause) {
+        let at = self.nodes[node].0.now();
         self.collect(node);
         let id = NodeId(node);
         self.commands.push((at, id, Command::Disconnect));
         self.commands.push((at, id, Command::Reset));
-        self.nodes[node].0.note(at, ObservationKind::Reset);
-        self.nodes[node].0.restart(at);
+        self.nodes[node].0.note(at, ObservationKind::Reset(cause));
+        self.nodes[node].0.reset(at, cause);
     }
 
     fn run_station(&mut self, station: usize) {

@@ -19,7 +19,7 @@
 //!
 //! # What is emulated
 //! A Cortex-M4F core with its interrupt controller, SysTick and cycle counter; flash memory, RAM, RCC,
-//! GPIO, TIM2 to TIM5, bxCAN1. What the firmware touches beyond that is reported
+//! GPIO, TIM2 to TIM5, bxCAN1, the independent watchdog. What the firmware touches beyond that is reported
 //! ([`ObservationKind::NotModelled`]), never ignored in silence. Nothing in the image knows that it is
 //! emulated: logs and records are read out of its RTT buffers as a debug probe would, measuring points are
 //! edges of its pins.
@@ -35,7 +35,7 @@
 //! # Known limits
 //! The floating point unit is always enabled, rounds to nearest, and keeps no exception flags. Code always
 //! runs privileged, and the memory protection unit is not modelled. A fault ends the node instead of
-//! entering HardFault.
+//! entering HardFault, until its watchdog resets it.
 //!
 //! # The core
 //! It is an interpreter of our own, behind a trait. With the feature `unicorn` (GPL-2.0, needs cmake and
@@ -61,5 +61,5 @@ pub use cpu::{AccessKind, CpuFault};
 pub use image::LoadError;
 pub use log::LogLine;
 pub use node::{Firmware, NodeConfig};
-pub use observation::{Masked, NodeId, Observation, ObservationKind, Pin, Place, StopReason};
+pub use observation::{Masked, NodeId, Observation, ObservationKind, Pin, Place, ResetCause, StopReason};
 pub use station::{BackgroundLoad, Port, Station};

@@ -18,10 +18,10 @@ use crate::exception::{self, ENTRY_CYCLES, RETURN_CYCLES, TAIL_CHAIN_CYCLES};
 use crate::image::{Image, LoadError};
 use crate::log::LogDecoder;
 use crate::memory;
-use crate::observation::{Masked, ObservationKind, Pin, Place, StopReason};
+use crate::observation::{Masked, ObservationKind, Pin, Place, ResetCause, StopReason};
 use crate::rtt::Rtt;
 use crate::soc::can::{Command, Outcome};
-use crate::soc::{HappeningKind, System, number};
+use crate::soc::{HappeningKind, Oscillators, System, number};
 
 /// Where a node's firmware comes from.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -50,6 +50,9 @@ pub struct NodeConfig {
     pub start_at: VirtualInstant,
     /// The crystal of its board.
     pub crystal: HertzU32,
+    /// The internal low-speed oscillator, which the independent watchdog counts: 32 kHz, but 17 to 47 kHz over parts
+    /// and temperatures (STM32F405 datasheet, 5.3.9).
+    pub low_speed: HertzU32,
     /// The unique device identifier that the firmware can read (RM0090, 39.1).
     pub unique_id: [u8; 12],
 }
@@ -69,6 +72,7 @@ impl NodeConfig {
             clock_error: ClockError::ZERO,
             start_at: time::EPOCH,
             crystal: HertzU32::MHz(8),
+            low_speed: HertzU32::kHz(32),
             unique_id,
         }
     }
@@ -82,7 +86,10 @@ enum State {
     Running,
     /// At a WFI or WFE.
     Asleep,
+    /// By a fault; a watchdog that runs goes on.
     Stopped,
+    /// Without power.
+    Off,
 }
 
 /// An emulated microcontroller.
@@ -133,8 +140,20 @@ impl Node {
     /// Switches the node off and on again: RAM and peripherals are as new, probes stay.
     pub(crate) fn restart(&mut self, at: VirtualInstant) {
         self.drain();
+        let new = power_on(&self.config, &self.image, at);
+        self.start_again(new, at);
+    }
+
+    /// Resets the node: RAM keeps what is in it, and RCC says why.
+    pub(crate) fn reset(&mut self, at: VirtualInstant, cause: ResetCause) {
+        self.drain();
+        let new = reset(&self.config, &self.image, at, self.cpu.as_ref(), &self.system.borrow(), cause);
+        self.start_again(new, at);
+    }
+
+    fn start_again(&mut self, new: Hardware, at: VirtualInstant) {
         let probes = self.pace.probes();
-        (self.cpu, self.pace, self.system) = power_on(&self.config, &self.image, at);
+        (self.cpu, self.pace, self.system) = new;
         probes.into_iter().for_each(|pc| self.pace.add_probe(pc));
         self.rtt = self.image.rtt.map(Rtt::new);
         self.log = LogDecoder::default();
@@ -144,7 +163,7 @@ impl Node {
     /// Stops the node without a word: its power fails.
     pub(crate) fn power_off(&mut self) {
         self.drain();
-        self.state = State::Stopped;
+        self.state = State::Off;
     }
 
     pub(crate) fn image(&self) -> &Image {
@@ -180,10 +199,14 @@ impl Node {
     }
 
     pub(crate) fn is_stopped(&self) -> bool {
-        self.state == State::Stopped
+        matches!(self.state, State::Stopped | State::Off)
     }
 
-    pub(crate) fn wants_reset(&self) -> bool {
+    pub(crate) fn is_off(&self) -> bool {
+        self.state == State::Off
+    }
+
+    pub(crate) fn wants_reset(&self) -> Option<ResetCause> {
         self.system.borrow().reset_requested
     }
 
@@ -197,11 +220,20 @@ impl Node {
         self.system.borrow().can_bits_per_second()
     }
 
+    /// How far the node has come.
+    pub(crate) fn now(&self) -> VirtualInstant {
+        self.system.borrow().now()
+    }
+
     /// The node does nothing before this instant, unless the bus wakes it.
     pub(crate) fn acts_at(&self) -> VirtualInstant {
         let system = self.system.borrow();
         match self.state {
-            State::Stopped => time::FAR_FUTURE,
+            State::Off => time::FAR_FUTURE,
+            State::Stopped => {
+                let deadline = system.watchdog_deadline();
+                deadline.map_or(time::FAR_FUTURE, |cycle| system.timebase.instant(cycle).max(system.now()))
+            }
             State::Running => system.now(),
             State::Asleep => {
                 let masks = exception::masks(self.cpu.as_ref());
@@ -216,7 +248,7 @@ impl Node {
 
     /// Runs until the instant `until`, or until the bus must act first.
     pub(crate) fn run(&mut self, until: VirtualInstant) {
-        while self.state != State::Stopped {
+        while !self.is_stopped() {
             let masks = exception::masks(self.cpu.as_ref());
             let mut system = self.system.borrow_mut();
             system.advance();
@@ -241,9 +273,22 @@ impl Node {
             let stop = self.cpu.run();
             self.handle(stop);
         }
+        if self.state == State::Stopped {
+            self.wait_for_watchdog(until);
+        }
         let now = self.system.borrow().now();
         if now >= self.drained_at + DRAIN_PERIOD {
             self.drain();
+        }
+    }
+
+    /// The core does nothing more. Its watchdog, if it runs, ends that.
+    fn wait_for_watchdog(&mut self, until: VirtualInstant) {
+        let mut system = self.system.borrow_mut();
+        let horizon = system.timebase.cycle_at(until);
+        if let Some(deadline) = system.watchdog_deadline().filter(|deadline| *deadline <= horizon) {
+            self.pace.skip_to(deadline);
+            system.advance();
         }
     }
 
@@ -360,7 +405,12 @@ impl Node {
     /// The bus tells this node's controller something.
     pub(crate) fn deliver(&mut self, at: VirtualInstant, event: &EventKind, bit_time: Duration) {
         let mut system = self.system.borrow_mut();
-        self.pace.skip_to(system.timebase.cycle_at(at));
+        let cycle = system.timebase.cycle_at(at);
+        if self.state == State::Asleep {
+            self.pace.sleep_until(cycle);
+        } else {
+            self.pace.skip_to(cycle);
+        }
         system.advance();
         let now = self.pace.cycle();
         match event {
@@ -464,10 +514,49 @@ fn start_of(frame: &WireFrame, received_at: VirtualInstant, bit_time: Duration) 
 
 type Hardware = (Box<dyn Cpu>, Rc<Pace>, Rc<RefCell<System>>);
 
-/// A part as it comes out of reset at `at`.
+/// A part that is switched on at `at`.
 fn power_on(config: &NodeConfig, image: &Image, at: VirtualInstant) -> Hardware {
     let pace = Rc::new(Pace::default());
-    let system = System::new(&pace, at, config.clock_error, config.crystal.to_Hz());
+    let system = System::new(&pace, at, oscillators(config));
+    let (mut cpu, pace, system) = out_of_reset(config, image, pace, system);
+    // Does not fail: the loader has checked that there is RAM.
+    for (address, bytes) in &image.ram {
+        let _ = cpu.write_memory(*address, bytes);
+    }
+    (cpu, pace, system)
+}
+
+/// A part that is reset at `at`.
+fn reset(
+    config: &NodeConfig,
+    image: &Image,
+    at: VirtualInstant,
+    cpu: &dyn Cpu,
+    system: &System,
+    cause: ResetCause,
+) -> Hardware {
+    let pace = Rc::new(Pace::default());
+    let system = system.reset(&pace, at, oscillators(config), cause);
+    let (mut new, pace, system) = out_of_reset(config, image, pace, system);
+    for region in [memory::RAM, memory::CCM] {
+        let mut content = vec![0; region.size as usize];
+        // Neither fails: both cores have both.
+        let _ = cpu.read_memory(region.base, &mut content);
+        let _ = new.write_memory(region.base, &content);
+    }
+    (new, pace, system)
+}
+
+fn oscillators(config: &NodeConfig) -> Oscillators {
+    Oscillators {
+        error: config.clock_error,
+        crystal_hertz: config.crystal.to_Hz(),
+        low_speed_hertz: config.low_speed.to_Hz(),
+    }
+}
+
+/// A core at its reset vector, with its peripherals; RAM is empty.
+fn out_of_reset(config: &NodeConfig, image: &Image, pace: Rc<Pace>, system: System) -> Hardware {
     let system = Rc::new(RefCell::new(system));
     let io: Rc<RefCell<dyn Io>> = system.clone();
     let system_memory = memory::system_memory(config.unique_id);
@@ -477,10 +566,7 @@ fn power_on(config: &NodeConfig, image: &Image, at: VirtualInstant) -> Hardware 
         (memory::SYSTEM, system_memory.as_slice()),
     ];
     let mut cpu = Interpreter::new(&rom, &[memory::RAM, memory::CCM], &memory::IO, &io, &pace);
-    // Neither fails: the loader has checked that both are there.
-    for (address, bytes) in &image.ram {
-        let _ = cpu.write_memory(*address, bytes);
-    }
+    // Does not fail: the loader has checked that the vector table is there.
     let vector = |cpu: &Interpreter, number: u32| cpu.read_word(memory::FLASH.base + 4 * number).unwrap_or(0);
     let (stack, reset) = (vector(&cpu, 0), vector(&cpu, 1));
     cpu.set_register(Register::Msp, stack);

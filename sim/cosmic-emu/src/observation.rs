@@ -131,8 +131,8 @@ pub enum ObservationKind {
         /// What the firmware set, in bits per second.
         bits_per_second: u32,
     },
-    /// The firmware asked for a system reset, and the node starts again.
-    Reset,
+    /// The node was reset, and starts again. What lies in RAM stays.
+    Reset(ResetCause),
     /// The node has stopped.
     Stopped {
         /// Why.
@@ -142,7 +142,21 @@ pub enum ObservationKind {
     },
 }
 
-/// Why a node stopped for good.
+/// What resets a node whose power stays on.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
+pub enum ResetCause {
+    /// The firmware asked for it (AIRCR.SYSRESETREQ).
+    #[error("the software")]
+    Software,
+    /// Somebody pulled the reset pin: a button, a debug probe.
+    #[error("the reset pin")]
+    Pin,
+    /// The independent watchdog was not fed in time.
+    #[error("the independent watchdog")]
+    Watchdog,
+}
+
+/// Why a node stopped. Only the watchdog, if it runs, brings it back.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
 pub enum StopReason {
     /// A fault. On hardware HardFault would be next; nothing useful ever follows it.
@@ -183,7 +197,7 @@ impl core::fmt::Display for ObservationKind {
                 f,
                 "CAN set to {bits_per_second} bit/s, which is not the rate of the bus: correct BTR or the clocks"
             ),
-            Self::Reset => f.write_str("system reset"),
+            Self::Reset(cause) => write!(f, "reset by {cause}"),
             Self::Stopped { reason, place } => write!(f, "stopped by {reason} at {place}"),
         }
     }

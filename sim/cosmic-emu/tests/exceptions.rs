@@ -2,7 +2,7 @@
 
 mod support;
 
-use cosmic_emu::{CpuFault, ObservationKind, StopReason};
+use cosmic_emu::{CpuFault, ObservationKind, ResetCause, StopReason};
 use support::register::{ICSR, TIM2};
 use support::{HSI_PERIOD_NS, Program, edges, order, run};
 
@@ -173,7 +173,7 @@ fn a_reset_starts_the_program_again() {
         asm.set_up().set(0).write(0xE000_ED0C, 0x05FA_0004).sleep();
     });
     let seen = run(&program, 20);
-    let resets = seen.iter().filter(|seen| seen.kind == ObservationKind::Reset).count();
+    let resets = seen.iter().filter(|seen| seen.kind == ObservationKind::Reset(ResetCause::Software)).count();
     let pins = seen.iter().filter(|seen| matches!(seen.kind, ObservationKind::Pin { .. })).count();
     assert!(resets > 3 && pins >= resets && resets + pins == seen.len(), "{seen:?}");
 }

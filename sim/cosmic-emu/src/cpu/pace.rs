@@ -28,6 +28,8 @@ pub(crate) struct ProbeHit {
 pub(crate) struct Pace {
     cycle: Cell<u64>,
     limit: Cell<u64>,
+    /// Cycles that passed in sleep.
+    slept: Cell<u64>,
     instructions: Cell<u64>,
     pc: Cell<u32>,
     /// An interrupt is pending, so a change of the masks matters.
@@ -43,6 +45,11 @@ impl Pace {
     #[inline]
     pub(crate) fn cycle(&self) -> u64 {
         self.cycle.get()
+    }
+
+    /// HCLK cycles since power-on in which the core did not sleep.
+    pub(crate) fn awake(&self) -> u64 {
+        self.cycle.get() - self.slept.get()
     }
 
     /// Instructions executed since power-on. Those that an IT block skips count, as they take a cycle.
@@ -138,6 +145,7 @@ impl Pace {
 
     /// Nothing happens until this cycle: the core sleeps.
     pub(crate) fn sleep_until(&self, cycle: u64) {
+        self.slept.set(self.slept.get() + cycle.saturating_sub(self.cycle.get()));
         self.skip_to(cycle);
         self.masking.sleep_until(self.cycle.get());
     }

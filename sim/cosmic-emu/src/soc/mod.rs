@@ -13,12 +13,14 @@ mod rcc;
 mod storage;
 mod system_control;
 mod timer;
+mod watchdog;
 
 use std::collections::BTreeSet;
 use std::rc::Rc;
 
 use crate::clock::{ClockError, Timebase};
 use crate::cpu::{AccessKind, Io, Pace};
+use crate::observation::ResetCause;
 use can::BxCan;
 use cosmic_bus::VirtualInstant;
 use gpio::Port;
@@ -27,13 +29,24 @@ use rcc::Rcc;
 use storage::Storage;
 use system_control::{Effect, SystemControl};
 use timer::Timer;
+use watchdog::IndependentWatchdog;
 
 const PERIPHERALS: u32 = 0x4000_0000;
 const BIT_BAND: u32 = 0x4200_0000;
 const PRIVATE: u32 = 0xE000_0000;
 /// Interrupts of TIM2 to TIM5 (RM0090, table 62).
 const TIMER_INTERRUPTS: [u16; 4] = [28, 29, 30, 50];
+const IWDG: u32 = 0x4000_3000;
 const CAN1: u32 = 0x4000_6400;
+
+/// What a part is clocked by.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Oscillators {
+    /// Of the crystal, and of what is derived from it.
+    pub(crate) error: ClockError,
+    pub(crate) crystal_hertz: u32,
+    pub(crate) low_speed_hertz: u32,
+}
 
 /// Something that happened in a node.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -64,11 +77,14 @@ pub(crate) struct System {
     timers: [Timer; 4],
     ports: [Port; 9],
     storage: Storage,
+    watchdog: IndependentWatchdog,
+    /// When the watchdog resets the part, as a cycle.
+    watchdog_deadline: Option<u64>,
     happenings: Vec<Happening>,
     /// Accesses that were reported: write, address, PC.
     reported: BTreeSet<(bool, u32, u32)>,
-    /// The firmware asked for a system reset.
-    pub(crate) reset_requested: bool,
+    /// The part is to be reset.
+    pub(crate) reset_requested: Option<ResetCause>,
     /// HCLK has changed, so the horizon is at another cycle.
     clock_changed: bool,
     /// The end of the present run, before which the node need not stop for others.
@@ -77,8 +93,23 @@ pub(crate) struct System {
 
 impl System {
     /// After power-on at `start`.
-    pub(crate) fn new(pace: &Rc<Pace>, start: VirtualInstant, error: ClockError, hse_hertz: u32) -> Self {
-        let rcc = Rcc::new(hse_hertz);
+    pub(crate) fn new(pace: &Rc<Pace>, start: VirtualInstant, oscillators: Oscillators) -> Self {
+        Self::with_clocks(pace, start, oscillators, Rcc::new(oscillators.crystal_hertz))
+    }
+
+    /// After a reset at `start` that leaves the power on.
+    pub(crate) fn reset(
+        &self,
+        pace: &Rc<Pace>,
+        start: VirtualInstant,
+        oscillators: Oscillators,
+        cause: ResetCause,
+    ) -> Self {
+        Self::with_clocks(pace, start, oscillators, self.rcc.reset(cause))
+    }
+
+    fn with_clocks(pace: &Rc<Pace>, start: VirtualInstant, oscillators: Oscillators, rcc: Rcc) -> Self {
+        let Oscillators { error, low_speed_hertz, .. } = oscillators;
         Self {
             pace: Rc::clone(pace),
             timebase: Timebase::new(start, rcc.clocks().hclk_hertz, error),
@@ -93,9 +124,11 @@ impl System {
                 _ => Port::new(0, 0),
             }),
             storage: Storage::new(),
+            watchdog: IndependentWatchdog::new(low_speed_hertz),
+            watchdog_deadline: None,
             happenings: Vec::new(),
             reported: BTreeSet::new(),
-            reset_requested: false,
+            reset_requested: None,
             clock_changed: false,
             horizon: 0,
         }
@@ -134,13 +167,27 @@ impl System {
         if self.control.advance(now) {
             self.nvic.pend(number::SYS_TICK);
         }
+        if self.watchdog_deadline.is_some_and(|deadline| deadline <= now) {
+            self.reset_requested = Some(ResetCause::Watchdog);
+        }
         self.update_lines();
     }
 
     /// The cycle at which a peripheral acts next by itself.
     pub(crate) fn deadline(&self) -> Option<u64> {
         let timers = self.timers.iter().filter_map(Timer::deadline);
-        timers.chain(self.can.deadline()).chain(self.control.deadline()).min()
+        let others = self.can.deadline().into_iter().chain(self.control.deadline());
+        timers.chain(others).chain(self.watchdog_deadline).min()
+    }
+
+    /// The cycle at which the watchdog resets the part, unless it is fed before.
+    pub(crate) const fn watchdog_deadline(&self) -> Option<u64> {
+        self.watchdog_deadline
+    }
+
+    /// After a change of the watchdog or of the core's clock.
+    fn update_watchdog(&mut self) {
+        self.watchdog_deadline = self.watchdog.expires_at().map(|at| self.timebase.cycle_at(at));
     }
 
     /// The core is to run until `horizon` at most. Sets the limit of the pace.
@@ -152,7 +199,7 @@ impl System {
 
     /// Returns whether the node must stop because others have to act first.
     pub(crate) fn must_stop(&self) -> bool {
-        self.can.waits_for_bus() || self.reset_requested
+        self.can.waits_for_bus() || self.reset_requested.is_some()
     }
 
     fn update_limit(&self) {
@@ -184,6 +231,7 @@ impl System {
             _ if Storage::keeps(address) => self.storage.read(address),
             PRIVATE..=u32::MAX => self.control.read(self.pace.cycle(), address - PRIVATE, &self.nvic),
             0x4000_0000..=0x4000_0FFF => self.timers[timer_at(address)].read(offset),
+            IWDG..=0x4000_33FF => self.watchdog.read(offset),
             CAN1..=0x4000_67FF => self.can.read(offset),
             0x4002_0000..=0x4002_23FF => self.ports[port_at(address)].read(offset),
             0x4002_3800..=0x4002_3BFF => self.rcc.read(offset),
@@ -204,13 +252,18 @@ impl System {
                     Effect::Stored => Ok(()),
                     Effect::NotModelled => Err(()),
                     Effect::Reset => {
-                        self.reset_requested = true;
+                        self.reset_requested = Some(ResetCause::Software);
                         Ok(())
                     }
                 }
             }
             0x4000_0000..=0x4000_0FFF => {
                 self.timers[timer_at(address)].write(now, offset, value).map_err(|_| ())
+            }
+            IWDG..=0x4000_33FF => {
+                self.watchdog.write(self.now(), offset, value).ok_or(())?;
+                self.update_watchdog();
+                Ok(())
             }
             CAN1..=0x4000_67FF => self.can.write(now, offset, value).map_err(|_| ()),
             0x4002_0000..=0x4002_23FF => self.write_port(port_at(address), offset, value),
@@ -234,6 +287,7 @@ impl System {
         if clocks.hclk_hertz != before.hclk_hertz {
             self.timebase.change_frequency(now, clocks.hclk_hertz);
             self.clock_changed = true;
+            self.update_watchdog();
         }
         for (n, timer) in self.timers.iter_mut().enumerate() {
             timer.set_input_period(now, clocks.timer_divider.into());
@@ -357,7 +411,9 @@ mod tests {
 
     fn system() -> System {
         let pace = Rc::new(Pace::default());
-        System::new(&pace, VirtualInstant::from_ticks(0), ClockError::ZERO, 8_000_000)
+        let oscillators =
+            Oscillators { error: ClockError::ZERO, crystal_hertz: 8_000_000, low_speed_hertz: 32_000 };
+        System::new(&pace, VirtualInstant::from_ticks(0), oscillators)
     }
 
     #[test]

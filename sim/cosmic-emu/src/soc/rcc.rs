@@ -1,5 +1,8 @@
 //! Reset and clock control (RM0090, chapter 7): oscillators are ready at once, the PLL is computed, the
-//! prescalers give the clocks of CPU and timers, and an access to a peripheral without clock is found out.
+//! prescalers give the clocks of CPU and timers, an access to a peripheral without clock is found out, and CSR
+//! says by which resets the part came here.
+
+use crate::observation::ResetCause;
 
 /// The internal oscillator.
 const HSI_HERTZ: u32 = 16_000_000;
@@ -19,6 +22,17 @@ mod register {
     pub(super) const AHB1ENR: usize = 0x30 / 4;
     pub(super) const BDCR: usize = 0x70 / 4;
     pub(super) const CSR: usize = 0x74 / 4;
+}
+
+/// Bits of CSR.
+mod csr {
+    pub(super) const RMVF: u32 = 1 << 24;
+    pub(super) const PINRSTF: u32 = 1 << 26;
+    pub(super) const SFTRSTF: u32 = 1 << 28;
+    pub(super) const IWDGRSTF: u32 = 1 << 29;
+    pub(super) const FLAGS: u32 = 0xFE00_0000;
+    /// Power-on, brown-out and pin.
+    pub(super) const AFTER_POWER_ON: u32 = 0x0E00_0000;
 }
 
 /// The clocks that follow from the registers.
@@ -47,8 +61,21 @@ impl Rcc {
         words[register::PLLCFGR] = 0x2400_3010;
         words[register::AHB1ENR] = 0x0010_0000;
         // Power-on and pin reset flags.
-        words[register::CSR] = 0x0E00_0000;
+        words[register::CSR] = csr::AFTER_POWER_ON;
         Self { words, hse_hertz }
+    }
+
+    /// A reset that leaves the power on: the flags of the resets before stay until the software removes them. Each
+    /// pulls the reset pin low, too (RM0090, 7.1.1).
+    pub(crate) fn reset(&self, cause: ResetCause) -> Self {
+        let mut new = Self::new(self.hse_hertz);
+        let flag = match cause {
+            ResetCause::Pin => csr::PINRSTF,
+            ResetCause::Software => csr::SFTRSTF,
+            ResetCause::Watchdog => csr::IWDGRSTF,
+        };
+        new.words[register::CSR] = self.words[register::CSR] & csr::FLAGS | flag | csr::PINRSTF;
+        new
     }
 
     pub(crate) fn read(&self, offset: u32) -> Option<u32> {
@@ -65,7 +92,11 @@ impl Rcc {
             // SWS follows SW.
             register::CFGR => value & !0xC | (value & 0x3) << 2,
             register::CIR => value & 0x3F00,
-            register::BDCR | register::CSR => value & !0x2 | (value & 1) << 1,
+            register::BDCR => value & !0x2 | (value & 1) << 1,
+            register::CSR => {
+                let flags = if value & csr::RMVF != 0 { 0 } else { *slot & csr::FLAGS };
+                flags | (value & 1) << 1 | value & 1
+            }
             _ => value,
         };
         Some(())
@@ -157,6 +188,24 @@ mod tests {
         let fast = Clocks { hclk_hertz: 168_000_000, apb1_divider: 4, timer_divider: 2 };
         assert_eq!(rcc.clocks(), fast);
         assert_eq!(rcc.read(0x08).map(|cfgr| cfgr >> 2 & 3), Some(2));
+    }
+
+    #[test]
+    fn the_flags_of_resets_add_up_until_they_are_removed() {
+        let csr = |rcc: &Rcc| rcc.read(0x74).unwrap();
+        let mut rcc = Rcc::new(8_000_000);
+        assert_eq!(csr(&rcc), 0x0E00_0000);
+        // They are read-only, but for RMVF.
+        rcc.write(0x74, 0xF000_0001).unwrap();
+        assert_eq!(csr(&rcc), 0x0E00_0003);
+        rcc = rcc.reset(ResetCause::Software);
+        assert_eq!(csr(&rcc), 0x1E00_0000);
+        rcc.write(0x74, 1 << 24).unwrap();
+        assert_eq!(csr(&rcc), 0);
+        assert_eq!(csr(&rcc.reset(ResetCause::Pin)), 0x0400_0000);
+        rcc = rcc.reset(ResetCause::Watchdog);
+        assert_eq!(csr(&rcc), 0x2400_0000);
+        assert_eq!(rcc.read(0x30), Some(0x0010_0000), "the clocks are as after power-on");
     }
 
     #[test]

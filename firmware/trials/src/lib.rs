@@ -1,0 +1,171 @@
+//! A small cluster for trials: nodes with all services, a watchdog, and a way to misbehave.
+//!
+//! | node | does |
+//! |---|---|
+//! | `master` | of the time; hosts the broker, and counts what the others send |
+//! | `deputy` | stands by for both |
+//! | `worker` | publishes in each slot of the calendar |
+//! | `guest` | asks for its id; publishes softly every 10 ms |
+//!
+//! Each obeys the [first byte](Misdeed::of_this_part) of its part's unique identifier, which the emulator sets: some time
+//! after its start it hangs in one of several ways. After a reset by the watchdog it does not.
+#![no_std]
+
+mod misdeed;
+
+use core::marker::PhantomData;
+
+use boards::Stm32F405;
+use boards::pac::IWDG;
+use boards::stm32f4::Resources;
+use boards::watchdog::{Patience, Watchdog};
+use cosmic_core::broker::Broker;
+use cosmic_core::plan::NodePlan;
+use cosmic_core::protocol::ResetCause;
+use cosmic_core::services::{NodeConfig, NodeServices};
+pub use cosmic_rtic::prelude::*;
+use cosmic_rtic::{Log, Memory, PlannedHost, Progress};
+
+pub use crate::misdeed::Misdeed;
+use crate::plan::channels::{beat, count};
+
+cosmic_core::include_plan!();
+
+cosmic_core::content! {
+    /// What is sent.
+    #[derive(Clone, Copy, Debug, defmt::Format)]
+    pub struct Number {
+        /// Counts up.
+        pub number: u32,
+    }
+}
+
+/// What a node is made of, and what it hosts.
+pub struct Trial<B = ()>(PhantomData<B>);
+
+/// One that hosts a broker.
+pub type Host = Trial<Broker<8, 8>>;
+
+impl<B: PlannedHost + 'static> System for Trial<B> {
+    type Board = Stm32F405;
+    type Capacity = plan::Capacities;
+    type Services = NodeServices<8, 16, 8, 16, B>;
+    type Observer = (&'static Progress<1>, (Memory, Log));
+}
+
+/// A node that is brought up.
+pub struct Up<B: PlannedHost + 'static> {
+    /// Its parts.
+    pub parts: Parts<Trial<B>>,
+    /// Its watchdog, which runs.
+    pub watchdog: Watchdog,
+    /// What it is to do wrong.
+    pub misdeed: Misdeed,
+}
+
+/// Brings up a node with the id of its plan, or one that asks for its id.
+pub fn start<B: PlannedHost>(
+    resources: Resources,
+    watchdog: IWDG,
+    node: &NodePlan,
+    asks: bool,
+    storage: &'static mut Storage<Trial<B>>,
+) -> Up<B> {
+    cosmic_rtt::start!(2048, cosmic_rtic::EVENT_PRIORITY);
+    let cause = boards::reset::take_cause();
+    let mut memory = boards::reset::take_memory(cause).expect("nobody else takes it");
+    defmt::info!("started by {}", cause);
+    memory.recover(|exception| defmt::info!("before that: {}", exception));
+    let board = Stm32F405::start(resources, node).expect("the plan fits the board");
+    let planned = NodeConfig::planned(node).expect(CLOCKED);
+    let tx_node = planned.tx_node.filter(|_| !asks);
+    let config = NodeConfig { tx_node, ..planned };
+    let services =
+        NodeServices::new(&config, node.calendar, B::planned(node), Stm32F405::now()).expect(CLOCKED);
+    let observer = (&PROGRESS, (memory, Log));
+    let mut parts = cosmic_rtic::start_with(board, node, storage, services, observer, (&PROGRESS, ((), ())));
+    parts.node.set_reset_cause(cause);
+    let misdeed = if cause == ResetCause::Watchdog { Misdeed::None } else { Misdeed::of_this_part() };
+    Up { parts, watchdog: Watchdog::start(watchdog, PATIENCE), misdeed }
+}
+
+/// Feeds the watchdog.
+pub async fn supervise<B: PlannedHost + 'static>(
+    watchdog: Watchdog,
+    node: impl Mutex<T = Node<Trial<B>>>,
+) -> ! {
+    PROGRESS.supervise(watchdog, PERIOD, node).await
+}
+
+/// The application of the worker: an event for each slot, once the cluster has a time.
+pub async fn work(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial>>) {
+    let mut ticker = Ticker::<Stm32F405>::every(TURN);
+    while !node.lock(|node| node.clock()).is_synchronised(Stm32F405::now()) {
+        ticker.tick().await;
+        PROGRESS.made::<0>();
+    }
+    before_slot(&beat::SLOT, LEAD, &mut node).await;
+    let beats = Publisher::announce(&beat::channel::<Number>(), &mut node).expect(PLANNED);
+    for number in 0.. {
+        PROGRESS.made::<0>();
+        let _ = beats.publish(Number { number }, &mut node);
+        if number == MISDEED_AFTER {
+            misdeed.commit(&mut node).await;
+        }
+        before_slot(&beat::SLOT, LEAD, &mut node).await;
+    }
+}
+
+/// The application of the guest.
+pub async fn count(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial>>) {
+    let counts = Publisher::announce(&count::channel::<Number>(), &mut node).expect(PLANNED);
+    let mut ticker = Ticker::<Stm32F405>::every(TURN);
+    for number in 0.. {
+        ticker.tick().await;
+        PROGRESS.made::<0>();
+        // Refused until the broker has given id and etag.
+        let _ = counts.publish(Number { number }, &mut node);
+        if number == MISDEED_AFTER {
+            misdeed.commit(&mut node).await;
+        }
+    }
+}
+
+/// The application of the master and the deputy: says what has come.
+pub async fn watch<B: PlannedHost + 'static>(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial<B>>>) {
+    let beats = Subscriber::subscribe(&beat::channel::<Number>(), QUEUE, &mut node).expect(PLANNED);
+    let counts = Subscriber::subscribe(&count::channel::<Number>(), QUEUE, &mut node).expect(PLANNED);
+    let mut ticker = Ticker::<Stm32F405>::every(TURN);
+    let (mut beaten, mut counted) = (0_u32, 0_u32);
+    for number in 0.. {
+        ticker.tick().await;
+        PROGRESS.made::<0>();
+        while beats.try_next(&mut node).is_some() {
+            beaten += 1;
+        }
+        while counts.try_next(&mut node).is_some() {
+            counted += 1;
+        }
+        if number % 100 == 0 {
+            defmt::info!("{} beats, {} counts", beaten, counted);
+        }
+        if number == MISDEED_AFTER {
+            misdeed.commit(&mut node).await;
+        }
+    }
+}
+
+static PROGRESS: Progress<1> = Progress::new();
+
+/// In which everybody makes progress.
+const PERIOD: Duration = Duration::from_millis(20);
+const PATIENCE: Patience = Patience::at_least(Duration::from_millis(100)).unwrap();
+/// Of an application.
+const TURN: Duration = Duration::from_millis(10);
+/// Turns of the application.
+const MISDEED_AFTER: u32 = 120;
+/// Before a slot.
+const LEAD: Duration = Duration::from_micros(500);
+const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
+const PLANNED: &str = "the plan has the channel";
+const CLOCKED: &str = "the plan has a clock";

@@ -1,0 +1,64 @@
+//! Ways to hang.
+
+use core::future::pending;
+
+use cosmic_rtic::{Node, System};
+use rtic::Mutex;
+
+/// What a node does wrong.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
+pub enum Misdeed {
+    /// Nothing.
+    None,
+    /// The application waits for what never comes.
+    Waits,
+    /// The application turns in circles.
+    Spins,
+    /// The application keeps the node locked, so that the event task stands still.
+    Locks,
+    /// All interrupts are masked, for good.
+    Masks,
+    /// A fault.
+    Faults,
+}
+
+impl Misdeed {
+    /// As the first byte of the part's unique identifier says (RM0090, 39.1).
+    pub fn of_this_part() -> Self {
+        // SAFETY: the identifier is in the system memory of each part.
+        match unsafe { UNIQUE_ID.read_volatile() } {
+            b'W' => Self::Waits,
+            b'S' => Self::Spins,
+            b'L' => Self::Locks,
+            b'M' => Self::Masks,
+            b'F' => Self::Faults,
+            _ => Self::None,
+        }
+    }
+
+    /// Does it.
+    pub async fn commit<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
+        if self != Self::None {
+            defmt::info!("misbehaves: {}", self);
+        }
+        match self {
+            Self::None => {}
+            Self::Waits => pending().await,
+            Self::Spins => turn_in_circles(),
+            Self::Locks => node.lock(|_| turn_in_circles()),
+            Self::Masks => {
+                cortex_m::interrupt::disable();
+                turn_in_circles()
+            }
+            Self::Faults => cortex_m::asm::udf(),
+        }
+    }
+}
+
+fn turn_in_circles() -> ! {
+    loop {
+        cortex_m::asm::nop();
+    }
+}
+
+const UNIQUE_ID: *const u8 = 0x1FFF_7A10 as *const u8;
