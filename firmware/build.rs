@@ -1,7 +1,7 @@
 //! Plans the cluster, and hands the memory map and the linker scripts to the linker.
 //!
 //! The cluster is the planner's example; `cargo xtask build --cluster FILE` names another one by the environment
-//! variable `COSMIC_CLUSTER`.
+//! variable `COSMIC_CLUSTER`. `--board BOARD` builds for a board by `COSMIC_BOARD`.
 
 use std::path::PathBuf;
 use std::{env, fs};
@@ -9,6 +9,13 @@ use std::{env, fs};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed=COSMIC_CLUSTER");
+    println!("cargo::rerun-if-env-changed=COSMIC_BOARD");
+    println!("cargo::rustc-check-cfg=cfg(board, values(none(), {BOARDS}))");
+    if let Some(board) = env::var_os("COSMIC_BOARD") {
+        let board = board.to_str().filter(|board| BOARDS.contains(&format!("{board:?}")));
+        let board = board.ok_or_else(|| format!("COSMIC_BOARD names no board of {BOARDS}"))?;
+        println!("cargo::rustc-cfg=board={board:?}");
+    }
     let cluster = env::var_os("COSMIC_CLUSTER").unwrap_or_else(|| EXAMPLE.into());
     // Applications log contents.
     cosmic_plan::Config::default().derive("defmt::Format").compile(cluster);
@@ -26,4 +33,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
+/// What is built without one is for boards with a crystal of 8 MHz: the types are in `src/vehicle.rs`.
+const BOARDS: &str = r#""nucleo-f446re", "feather-f405""#;
 const EXAMPLE: &str = "../cosmic-plan/examples/vehicle.toml";

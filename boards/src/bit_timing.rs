@@ -52,6 +52,11 @@ impl BitTiming {
         (jump - 1) << 24 | (self.segment_2 - 1) << 20 | (self.segment_1 - 1) << 16 | (self.prescaler - 1)
     }
 
+    /// Where the bit is sampled, in thousandths of it, rounded.
+    pub const fn sample_point_permille(self) -> u32 {
+        ((1 + self.segment_1) * 1000 + self.quanta() / 2) / self.quanta()
+    }
+
     /// Time quanta in a bit.
     pub const fn quanta(self) -> u32 {
         1 + self.segment_1 + self.segment_2
@@ -62,6 +67,22 @@ impl BitTiming {
         self.prescaler
     }
 }
+
+/// The clock of the controllers on every board: APB1 at 42 MHz, a quarter of the core's 168 MHz.
+pub const APB1: u32 = 42_000_000;
+
+// What CAN is used at, every board must give exactly, and sample where CiA 301 recommends.
+const _: () = {
+    let rates = [125_000, 250_000, 500_000, 1_000_000];
+    let mut n = 0;
+    while n < rates.len() {
+        let Some(rate) = BitRate::new(rates[n]) else { panic!("a bit rate") };
+        let Some(timing) = BitTiming::new(APB1, rate) else { panic!("a rate that APB1 cannot give") };
+        let sample_point = timing.sample_point_permille();
+        assert!(sample_point >= 850 && sample_point <= 900, "a bit is sampled too early or too late");
+        n += 1;
+    }
+};
 
 const FEWEST_QUANTA: u32 = 8;
 const MOST_QUANTA: u32 = 25;
@@ -80,7 +101,7 @@ mod tests {
             let timing = BitTiming::new(CLOCK, BitRate::new(rate).unwrap()).unwrap();
             assert_eq!(CLOCK / timing.prescaler() / timing.quanta(), rate);
             assert_eq!(CLOCK % (timing.prescaler() * timing.quanta()), 0);
-            let sample = (1 + timing.segment_1) * 1000 / timing.quanta();
+            let sample = timing.sample_point_permille();
             assert!((850..=900).contains(&sample), "{rate}: sample point at {sample} permille");
         }
     }
@@ -91,6 +112,24 @@ mod tests {
         // 14 quanta: prescaler 3, segment 1 of 11, segment 2 of 2, jump of 2.
         assert_eq!(timing, BitTiming { prescaler: 3, segment_1: 11, segment_2: 2 });
         assert_eq!(timing.register(), 0x011A_0002);
+    }
+
+    #[test]
+    fn the_page_of_the_boards_has_the_timing_of_each_rate() {
+        let page = include_str!("../../docs/boards.md");
+        for rate in [1_000_000, 500_000, 250_000, 125_000] {
+            let timing = BitTiming::new(APB1, BitRate::new(rate).unwrap()).unwrap();
+            let BitTiming { prescaler, segment_1, segment_2 } = timing;
+            let (quanta, point) = (timing.quanta(), timing.sample_point_permille());
+            let row = std::format!(
+                "| {} kbit/s | {prescaler} | {quanta} | {segment_1}, {segment_2} | {}.{} % | `0x{:08X}` |",
+                rate / 1000,
+                point / 10,
+                point % 10,
+                timing.register()
+            );
+            assert!(page.contains(&row), "docs/boards.md lacks: {row}");
+        }
     }
 
     #[test]

@@ -11,7 +11,8 @@ use crate::bxcan_status::{self, BusStatus, StatusChanges};
 use crate::bxcan_tx::{self, HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::registers::Registers;
 
-/// Filter banks: of the 28 that both controllers share, those before the reset value of `CAN2SB`.
+/// Filter banks of a controller: of the 28 that both share, CAN1 has those before the reset value of `CAN2SB`, and CAN2
+/// the others.
 pub const BANKS: usize = 14;
 
 /// Why a controller cannot be set up.
@@ -27,6 +28,9 @@ pub enum SetUpError {
 /// [`split`](Self::split).
 pub struct Controller {
     registers: Registers,
+    /// The registers that the filters are in: those of CAN1 (RM0090, dual CAN).
+    filters: Registers,
+    first_bank: usize,
 }
 
 /// The parts of a controller, each for one owner.
@@ -50,14 +54,25 @@ pub struct Parts {
 }
 
 impl Controller {
-    /// Takes over a bxCAN peripheral.
+    /// Takes over CAN1.
     ///
     /// # Safety
     /// `base` is the address of the peripheral's registers, which stay valid for the rest of the program,
     /// and nothing else writes them.
     pub const unsafe fn new(base: *mut u32) -> Self {
         // SAFETY: what the caller promises.
-        Self { registers: unsafe { Registers::new(base) } }
+        let registers = unsafe { Registers::new(base) };
+        Self { registers, filters: registers, first_bank: 0 }
+    }
+
+    /// Takes over CAN2, and its banks among the filters of CAN1, whose clock must be on.
+    ///
+    /// # Safety
+    /// As for [`new`](Self::new), for both.
+    pub const unsafe fn second(base: *mut u32, of_can1: *mut u32) -> Self {
+        // SAFETY: what the caller promises.
+        let (registers, filters) = unsafe { (Registers::new(base), Registers::new(of_can1)) };
+        Self { registers, filters, first_bank: BANKS }
     }
 
     /// Puts the controller into initialisation mode, and sets it up. It takes no part in the traffic yet.
@@ -75,7 +90,7 @@ impl Controller {
             return Err(SetUpError::NoAnswer);
         }
         configure(registers, timing);
-        apply_filters(registers, filters)
+        apply_filters(self.filters, self.first_bank, filters)
     }
 
     /// Takes part in the traffic, once the bus has been recessive for 11 bits; waits for that, but not for ever.
@@ -119,20 +134,22 @@ fn configure(registers: Registers, timing: BitTiming) {
     registers.write(IER, IER_TMEIE | IER_FMPIE0 | IER_FMPIE1 | bxcan_status::INTERRUPTS);
 }
 
-/// Writes the filters to banks 0, 1, ... and switches the others of this controller off. Nothing is received
-/// for that time.
+/// Writes the filters to a controller's banks, from the first on, and switches its others off. Nothing is received for
+/// that time.
 fn apply_filters<'a>(
     registers: Registers,
+    first_bank: usize,
     filters: impl Iterator<Item = &'a FilterBank>,
 ) -> Result<(), SetUpError> {
     registers.write(FMR, registers.read(FMR) | FMR_FINIT);
     let (mut used, mut lists, mut to_other) = (0, 0, 0);
     let mut result = Ok(());
-    for (bank, filter) in filters.enumerate() {
-        if bank >= BANKS {
+    for (number, filter) in filters.enumerate() {
+        if number >= BANKS {
             result = Err(SetUpError::TooManyFilters);
             break;
         }
+        let bank = first_bank + number;
         let bit = 1 << bank;
         used |= bit;
         if filter.fifo() == Fifo::Other {
@@ -146,7 +163,8 @@ fn apply_filters<'a>(
         registers.write(BANK_0 + BANK_STRIDE * bank + 4, second);
     }
     // The bits of the other controller's banks stay.
-    let set = |register, bits| registers.write(register, registers.read(register) & !OWN_BANKS | bits);
+    let own = OWN_BANKS << first_bank;
+    let set = |register, bits| registers.write(register, registers.read(register) & !own | bits);
     set(FM1R, lists);
     set(FS1R, used);
     set(FFA1R, to_other);
@@ -191,6 +209,26 @@ mod tests {
     use crate::registers::Memory;
     use cosmic_core::can::{BitRate, Id};
 
+    fn first(memory: &mut Memory) -> Controller {
+        Controller { registers: memory.registers(), filters: memory.registers(), first_bank: 0 }
+    }
+
+    #[test]
+    fn the_second_controller_has_the_other_banks_of_the_first() {
+        let (mut first, mut second) = (Memory::new(), Memory::new());
+        second.set(MSR, MSR_INAK);
+        for register in [FM1R, FS1R, FFA1R, FA1R] {
+            first.set(register, 0x0800_0021);
+        }
+        let timing = BitTiming::new(42_000_000, BitRate::MAX).unwrap();
+        let (registers, filters) = (second.registers(), first.registers());
+        let mut controller = Controller { registers, filters, first_bank: BANKS };
+        assert_eq!(controller.set_up(timing, [mask(Fifo::Other)].iter()), Ok(()));
+        assert_eq!([FM1R, FS1R, FFA1R, FA1R].map(|at| first.at(at)), [0x21, 0x4021, 0x4021, 0x4021]);
+        assert_eq!((first.at(0x240 + 8 * 14), first.at(MCR), first.at(BTR)), (0x0100_0094, 0, 0));
+        assert_eq!((second.at(BTR), second.at(FA1R), second.at(FMR)), (timing.register(), 0, 0));
+    }
+
     #[test]
     fn modes_and_interrupts() {
         let mut memory = Memory::new();
@@ -198,7 +236,7 @@ mod tests {
         memory.set(MCR, 0x0001_001D);
         let timing = BitTiming::new(42_000_000, BitRate::MAX).unwrap();
         memory.set(MSR, MSR_INAK);
-        let mut controller = Controller { registers: memory.registers() };
+        let mut controller = first(&mut memory);
         assert_eq!(controller.set_up(timing, [].iter()), Ok(()));
         assert_eq!(memory.at(MCR), 0x0001_0041);
         assert_eq!(memory.at(BTR), timing.register());
@@ -212,7 +250,7 @@ mod tests {
     fn a_controller_that_does_not_answer_and_a_bus_that_is_stuck_stop_nobody() {
         let mut memory = Memory::new();
         let timing = BitTiming::new(42_000_000, BitRate::MAX).unwrap();
-        let mut controller = Controller { registers: memory.registers() };
+        let mut controller = first(&mut memory);
         assert_eq!(controller.set_up(timing, [].iter()), Err(SetUpError::NoAnswer));
         // Held dominant: the controller stays in initialisation mode, and is asked to leave it.
         memory.set(MSR, MSR_INAK);
@@ -235,7 +273,7 @@ mod tests {
         }
         let ids = [0x1234, 0x1FFF_FFFF].map(|raw| Id::from_raw(raw).unwrap());
         let filters = [mask(Fifo::Other), FilterBank::List { ids, fifo: Fifo::Urgent }];
-        assert_eq!(apply_filters(memory.registers(), filters.iter()), Ok(()));
+        assert_eq!(apply_filters(memory.registers(), 0, filters.iter()), Ok(()));
         assert_eq!(memory.at(FMR), 0x2A1C_0E00);
         assert_eq!([FM1R, FS1R].map(|at| memory.at(at)), [0x0F00_0002, 0x0F00_0003]);
         assert_eq!([FFA1R, FA1R].map(|at| memory.at(at)), [0x0F00_0001, 0x0F00_0003]);
@@ -247,8 +285,8 @@ mod tests {
     fn more_filters_than_banks_are_refused() {
         let mut memory = Memory::new();
         let filters = [const { FilterBank::Mask { id: 0, mask: 0, fifo: Fifo::Urgent } }; BANKS + 1];
-        assert_eq!(apply_filters(memory.registers(), filters[..BANKS].iter()), Ok(()));
-        assert_eq!(apply_filters(memory.registers(), filters.iter()), Err(SetUpError::TooManyFilters));
+        assert_eq!(apply_filters(memory.registers(), 0, filters[..BANKS].iter()), Ok(()));
+        assert_eq!(apply_filters(memory.registers(), 0, filters.iter()), Err(SetUpError::TooManyFilters));
         assert_eq!((memory.at(FA1R), memory.at(0x240 + 8 * BANKS)), (0x3FFF, 0));
     }
 }

@@ -1,4 +1,4 @@
-//! STM32F405/407 boards: clocks, pins, the bxCAN controller and the timer. No protocol.
+//! STM32F405, F407 and F446 boards: clocks, pins, the bxCAN controller and the timer. No protocol.
 //!
 //! The middleware speaks in values: [`Command`](cosmic_core::can::Command)s go in,
 //! [`Outcome`](cosmic_core::can::Outcome)s and frames come out, and time is a parameter. This crate is
@@ -12,9 +12,9 @@
 //! * [`bit_timing`]: the bit timing register for a bit rate.
 //! * [`clock`]: the monotonic timer, and its conversion to the middleware's local time.
 //! * [`watchdog`], [`reset`]: the independent watchdog; why the part has started, and what it knew before.
-//! * [`stm32f4`]: brings a board up and hands out the parts.
+//! * [`stm32f4`]: brings a board up and hands out the parts; [`wiring`]: what is each board's own.
 //!
-//! All but [`clock`] and [`stm32f4`] also builds on the host, where memory stands in for the registers.
+//! All but [`clock`], [`stm32f4`] and [`wiring`] also builds on the host, where memory stands in for the registers.
 #![no_std]
 
 #[cfg(test)]
@@ -33,8 +33,10 @@ mod runtime;
 #[cfg(target_arch = "arm")]
 pub mod stm32f4;
 pub mod watchdog;
+#[cfg(target_arch = "arm")]
+pub mod wiring;
 
 #[cfg(target_arch = "arm")]
-pub use stm32f4::Stm32F405;
+pub use stm32f4::{Stm32F4, Stm32F405};
 #[cfg(target_arch = "arm")]
 pub use stm32f4xx_hal::{self as hal, pac};

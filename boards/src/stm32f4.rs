@@ -1,13 +1,10 @@
-//! Boards with an STM32F405 or STM32F407 and an 8 MHz crystal.
+//! Boards with an STM32F405, F407 or F446: what is the same on all of them. What is not is their [`Wiring`].
 //!
-//! The core runs at 168 MHz, APB1 with CAN1 at 42 MHz, the timers behind it at 84 MHz. CAN1 is on PB8
-//! (receive) and PB9 (transmit); a transceiver is needed. PB12 to PB15 are measuring points. All other pins and
-//! peripherals are the application's.
+//! The core runs at 168 MHz, APB1 with the CAN controllers at 42 MHz, the timers behind it at 84 MHz. A transceiver is
+//! needed. PB12 to PB15 are measuring points. All other pins and peripherals are the application's.
 //!
-//! | pin | use |
-//! |---|---|
-//! | PB8, PB9 | CAN1 RX, TX |
-//! | PB12..PB15 | [`MeasuringPoints`] |
+//! An F446 has what is used here of an F405: the same registers at the same addresses with the same meaning, the same
+//! numbers of interrupts (RM0390), and as much RAM.
 
 use cosmic_core::can::BitRate;
 use cosmic_core::can::filter_banks::FilterBank;
@@ -20,16 +17,20 @@ use stm32f4xx_hal::pac;
 use stm32f4xx_hal::rcc::{Config, Enable as _, Rcc, RccExt as _, Reset as _};
 use stm32f4xx_hal::time::Hertz;
 
-use crate::bit_timing::BitTiming;
-use crate::bxcan::{Controller, Parts, SetUpError};
+use crate::bit_timing::{APB1, BitTiming};
+use crate::bxcan::{Parts, SetUpError};
 use crate::bxcan_rx::{OtherFrames, UrgentFrames};
 use crate::bxcan_status::{BusStatus, StatusChanges};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::clock;
+use crate::wiring::{Can, Oscillator, PinsOfBoth, Stm32H405, Wiring};
+
+/// A board with an 8 MHz crystal and its transceiver at CAN1, such as the Olimex STM32-H405.
+pub type Stm32F405 = Stm32F4<Stm32H405>;
 
 /// A board that takes part in the traffic, and its parts, each for one owner. As a [`Board`] it is run by
 /// `cosmic-rtic`.
-pub struct Stm32F405 {
+pub struct Stm32F4<W: Wiring> {
     /// Transmit mailbox of the time-triggered half.
     pub hard: HardMailbox,
     /// Transmit mailbox of the EDF queue.
@@ -49,25 +50,25 @@ pub struct Stm32F405 {
     /// Pins for an oscilloscope, for whoever takes them.
     pub points: Option<MeasuringPoints>,
     /// The pins of port B that the board does not use.
-    pub pins: FreePins,
+    pub pins: <W::Can as Can>::FreePins,
     /// Switches the clocks of further peripherals on, as their drivers in [`hal`](crate::hal) want it.
     pub rcc: Rcc,
 }
 
 /// What a board takes of the chip: [`resources!`](crate::resources) takes it. All else is the application's.
-pub struct Resources {
+pub struct Resources<C = pac::CAN1> {
     /// Clocks.
     pub rcc: pac::RCC,
     /// The port of the CAN pins and of the measuring points.
     pub port: pac::GPIOB,
-    /// The CAN controller.
-    pub can: pac::CAN1,
+    /// The CAN controller; with CAN2 both, since it needs the other's clock and filters.
+    pub can: C,
     /// The monotonic timer.
     pub timer: pac::TIM2,
 }
 
 /// Takes from the peripherals, such as `cx.device` in RTIC's `init`, what a board needs: its [`Resources`]. The others
-/// stay where they are.
+/// stay where they are. For a board with its transceiver at CAN2: `resources!(cx.device, CAN2)`.
 ///
 /// ```ignore
 /// let mut board = Stm32F405::start(boards::resources!(cx.device), &NODE)?;
@@ -76,10 +77,16 @@ pub struct Resources {
 #[macro_export]
 macro_rules! resources {
     ($peripherals:expr) => {
+        $crate::resources!(@ $peripherals, $peripherals.CAN1)
+    };
+    ($peripherals:expr, CAN2) => {
+        $crate::resources!(@ $peripherals, ($peripherals.CAN1, $peripherals.CAN2))
+    };
+    (@ $peripherals:expr, $can:expr) => {
         $crate::stm32f4::Resources {
             rcc: $peripherals.RCC,
             port: $peripherals.GPIOB,
-            can: $peripherals.CAN1,
+            can: $can,
             timer: $peripherals.TIM2,
         }
     };
@@ -107,13 +114,18 @@ pub enum BoardError {
     Crystal,
 }
 
-impl Stm32F405 {
+impl<W: Wiring> Stm32F4<W> {
+    /// Returns whether the board gives this bit rate exactly: `const _: () = assert!(Stm32F405::gives(RATE));`
+    pub const fn gives(bit_rate: BitRate) -> bool {
+        BitTiming::new(APB1, bit_rate).is_some()
+    }
+
     /// Brings a board up for a node, whose plan says bit rate and filters, with the timer's interrupt at the
     /// priority of the runtime's calendar task; see [`new`](Self::new).
     ///
     /// # Errors
     /// As [`new`](Self::new).
-    pub fn start(resources: Resources, node: &NodePlan) -> Result<Self, BoardError> {
+    pub fn start(resources: OfBoard<W>, node: &NodePlan) -> Result<Self, BoardError> {
         let bit_rate = node.calendar.segment().bit_rate;
         let settings = Settings { bit_rate, filters: node.filters.iter() };
         Self::new(resources, settings, CALENDAR_PRIORITY)
@@ -131,18 +143,19 @@ impl Stm32F405 {
     /// # Errors
     /// If the settings ask for what the controller cannot do, or crystal or controller do not run.
     pub fn new<'a>(
-        resources: Resources,
+        resources: OfBoard<W>,
         settings: Settings<impl Iterator<Item = &'a FilterBank>>,
         timer: u8,
     ) -> Result<Self, BoardError> {
         let timing = BitTiming::new(APB1, settings.bit_rate).ok_or(BoardError::BitRate)?;
-        let clocks = Config::hse(Hertz::from_raw(CRYSTAL))
-            .sysclk(Hertz::from_raw(CORE))
-            .pclk1(Hertz::from_raw(APB1))
-            .pclk2(Hertz::from_raw(APB2));
-        let Resources { rcc, port, can: _, timer: tim2 } = resources;
+        let Oscillator { hertz, is_clock } = W::OSCILLATOR;
+        let source = Config::hse(Hertz::from_raw(hertz));
+        let source = if is_clock { source.bypass_hse_oscillator() } else { source };
+        let clocks =
+            source.sysclk(Hertz::from_raw(CORE)).pclk1(Hertz::from_raw(APB1)).pclk2(Hertz::from_raw(APB2));
+        let Resources { rcc, port, can, timer: tim2 } = resources;
         stay_visible_asleep();
-        start_crystal(&rcc)?;
+        start_oscillator(&rcc, is_clock)?;
         let mut rcc = rcc.freeze(clocks);
         pac::TIM2::enable(&mut rcc);
         pac::TIM2::reset(&mut rcc);
@@ -156,22 +169,19 @@ impl Stm32F405 {
             exception: MeasuringPoint { pin: port.pb15.into_push_pull_output() },
         };
 
-        // The pins keep their function when their types are dropped.
-        let _ = (port.pb8.into_alternate::<9>(), port.pb9.into_alternate::<9>());
-        let pins = FreePins {
+        let pins = W::Can::wire(PinsOfBoth {
             pb0: port.pb0,
             pb1: port.pb1,
             pb2: port.pb2,
             pb5: port.pb5,
             pb6: port.pb6,
             pb7: port.pb7,
+            pb8: port.pb8,
+            pb9: port.pb9,
             pb10: port.pb10,
             pb11: port.pb11,
-        };
-        pac::CAN1::enable(&mut rcc);
-        pac::CAN1::reset(&mut rcc);
-        // SAFETY: the registers of CAN1 are there for good, and `Resources::can` was given up for them.
-        let mut can = unsafe { Controller::new(pac::CAN1::ptr().cast_mut().cast()) };
+        });
+        let mut can = W::Can::take(can, &mut rcc);
         can.set_up(timing, settings.filters).map_err(|error| match error {
             SetUpError::TooManyFilters => BoardError::Filters,
             SetUpError::NoAnswer => BoardError::Controller,
@@ -191,14 +201,21 @@ fn stay_visible_asleep() {
     unsafe { (*pac::DBGMCU::ptr()).cr().modify(|_, w| w.dbg_sleep().set_bit()) };
 }
 
-/// Starts the crystal (RM0090, 7.2.1). Who sets the clocks waits for it without end, so it runs before.
-fn start_crystal(rcc: &pac::RCC) -> Result<(), BoardError> {
+/// What a board takes of the chip.
+pub type OfBoard<W> = Resources<<<W as Wiring>::Can as Can>::Peripherals>;
+
+/// Starts the crystal, or lets in the clock from outside (RM0090, 7.2.1). Who sets the clocks waits for it without end,
+/// so it runs before.
+fn start_oscillator(rcc: &pac::RCC, is_clock: bool) -> Result<(), BoardError> {
+    if is_clock {
+        rcc.cr().modify(|_, w| w.hsebyp().bypassed());
+    }
     rcc.cr().modify(|_, w| w.hseon().on());
     let runs = (0..CRYSTAL_PATIENCE).any(|_| rcc.cr().read().hserdy().is_ready());
     if runs { Ok(()) } else { Err(BoardError::Crystal) }
 }
 
-impl Board for Stm32F405 {
+impl<W: Wiring> Board for Stm32F4<W> {
     type Hard = HardMailbox;
     type Soft = SoftMailbox;
     type NonRealTime = NonRealTimeMailbox;
@@ -227,19 +244,6 @@ impl Board for Stm32F405 {
         let Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, .. } = self;
         BoardParts { hard, soft, non_real_time, outcomes, urgent, other, status: bus, changes }
     }
-}
-
-/// Pins of port B for the application, as they are after a reset. (PB3 and PB4 belong to the debug port.)
-#[allow(missing_docs, reason = "the names say which")]
-pub struct FreePins {
-    pub pb0: Pin<'B', 0>,
-    pub pb1: Pin<'B', 1>,
-    pub pb2: Pin<'B', 2>,
-    pub pb5: Pin<'B', 5>,
-    pub pb6: Pin<'B', 6>,
-    pub pb7: Pin<'B', 7>,
-    pub pb10: Pin<'B', 10>,
-    pub pb11: Pin<'B', 11>,
 }
 
 /// Pins that show on an oscilloscope what the node does. Each changes when the event occurs.
@@ -279,12 +283,10 @@ impl<const N: u8> MeasuringPoint<N> {
     }
 }
 
-const CRYSTAL: u32 = 8_000_000;
 /// So often it is asked whether the crystal runs: each takes 8 cycles at most, 100 ms at the 16 MHz after a reset. It
 /// takes 2 ms (STM32F405 datasheet, 5.3.8).
 const CRYSTAL_PATIENCE: u32 = 200_000;
 const CORE: u32 = 168_000_000;
-const APB1: u32 = 42_000_000;
 /// The timers behind APB1 run at twice its frequency (RM0090, 7.2).
 const TIMERS: u32 = 2 * APB1;
 const APB2: u32 = 84_000_000;

@@ -307,8 +307,12 @@ impl ExceptionKind {
                 "a hard real-time event was replaced by a later one before its slot came; publish once a period"
             }
             Self::InputLost => {
-                "frames, outcomes or notices were lost inside the node, because a queue or receive FIFO was \
-                 full; its tasks run too seldom"
+                "frames, outcomes or notices were lost inside the node, because a queue was full; its tasks run \
+                 too seldom"
+            }
+            Self::ReceiveOverrun => {
+                "frames were lost in the node's CAN controller, because its receive FIFO was full; its receive \
+                 interrupt is held up for longer than three frames"
             }
             Self::ContradictoryEvent => {
                 "a second event with other content arrived in the same slot and was dropped; some other node \

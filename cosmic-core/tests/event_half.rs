@@ -314,10 +314,13 @@ fn what_was_lost_below_is_told_and_counted() {
     half.on_input(&Input::Lost(0), at(1));
     assert_eq!(half.take_exception(), None);
     half.on_input(&Input::Lost(3), at(2));
+    half.on_input(&Input::Overrun(2), at(3));
     half.on_input(&Input::BusOff, at(3));
-    assert_eq!(half.take_exception().map(|exception| exception.kind), Some(ExceptionKind::InputLost));
-    assert_eq!(half.take_exception().map(|exception| exception.kind), Some(ExceptionKind::BusOff));
-    assert_eq!(half.exceptions(ExceptionKind::InputLost), 3);
+    for kind in [ExceptionKind::InputLost, ExceptionKind::ReceiveOverrun, ExceptionKind::BusOff] {
+        assert_eq!(half.take_exception().map(|exception| exception.kind), Some(kind));
+    }
+    let counts = [ExceptionKind::InputLost, ExceptionKind::ReceiveOverrun].map(|kind| half.exceptions(kind));
+    assert_eq!(counts, [3, 2]);
 }
 
 /// Carries out what the dispatcher and the half want at this instant; outcomes are not told.

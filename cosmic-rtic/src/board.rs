@@ -90,7 +90,7 @@ pub trait RxFifo {
     /// The next frame, if there is one.
     fn read(&mut self) -> Option<Frame>;
 
-    /// How many frames were lost since the last call because the FIFO was full.
+    /// How many times one frame or more were lost since the last call because the FIFO was full.
     fn take_losses(&mut self) -> u32;
 }
 

@@ -22,23 +22,38 @@ pub(crate) struct Queues {
     urgent: Queue<Item, 8>,
     outcomes: Queue<Item, 8>,
     notices: Queue<Item, 16>,
-    wake: Signal,
+    counts: Counts,
     wake_calendar: Signal,
+}
+
+/// What is counted on the way to the event-triggered half, and what wakes it.
+struct Counts {
+    wake: Signal,
+    /// Items that found their queue full.
     lost: AtomicU32,
+    /// Overruns of receive FIFOs.
+    overruns: AtomicU32,
+    /// Times that the controller left the bus.
     times_off: AtomicU32,
+}
+
+/// What was counted since the last call.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Counted {
+    pub(crate) lost: u32,
+    pub(crate) overruns: u32,
+    pub(crate) times_off: u32,
 }
 
 /// The end of a queue that one interrupt or task writes.
 pub(crate) struct Sender {
     queue: Producer<Item>,
-    wake: &'static Signal,
-    lost: &'static AtomicU32,
+    counts: &'static Counts,
 }
 
 /// Counts how often the controller left the bus.
 pub(crate) struct BusOffSender {
-    wake: &'static Signal,
-    times_off: &'static AtomicU32,
+    counts: &'static Counts,
 }
 
 /// All that the event-triggered half receives.
@@ -47,9 +62,7 @@ pub(crate) struct Inbox {
     urgent: Consumer<Item>,
     outcomes: Consumer<Item>,
     notices: Consumer<Item>,
-    wake: &'static Signal,
-    lost: &'static AtomicU32,
-    times_off: &'static AtomicU32,
+    counts: &'static Counts,
 }
 
 /// The ends of the queues, for their owners.
@@ -73,10 +86,13 @@ impl Queues {
             urgent: Queue::new(),
             outcomes: Queue::new(),
             notices: Queue::new(),
-            wake: Signal::new(),
+            counts: Counts {
+                wake: Signal::new(),
+                lost: AtomicU32::new(0),
+                overruns: AtomicU32::new(0),
+                times_off: AtomicU32::new(0),
+            },
             wake_calendar: Signal::new(),
-            lost: AtomicU32::new(0),
-            times_off: AtomicU32::new(0),
         }
     }
 
@@ -86,17 +102,16 @@ impl Queues {
         let (urgent_in, urgent) = self.urgent.split();
         let (outcomes_in, outcomes) = self.outcomes.split();
         let (notices_in, notices) = self.notices.split();
-        let (wake, wake_calendar) = (&self.wake, &self.wake_calendar);
-        let (lost, times_off) = (&self.lost, &self.times_off);
-        let sender = |queue| Sender { queue, wake, lost };
+        let (counts, wake_calendar) = (&self.counts, &self.wake_calendar);
+        let sender = |queue| Sender { queue, counts };
         Ends {
             frames: sender(frames_in),
             urgent: sender(urgent_in),
             outcomes: sender(outcomes_in),
             notices: sender(notices_in),
-            bus_off: BusOffSender { wake, times_off },
-            inbox: Inbox { frames, urgent, outcomes, notices, wake, lost, times_off },
-            wake,
+            bus_off: BusOffSender { counts },
+            inbox: Inbox { frames, urgent, outcomes, notices, counts },
+            wake: &counts.wake,
             wake_calendar,
         }
     }
@@ -107,29 +122,29 @@ impl Sender {
     #[inline]
     pub(crate) fn send(&mut self, input: Input, at: Instant) {
         if !self.queue.put(Item { input, at }) {
-            self.count_lost(1);
+            self.counts.lost.fetch_add(1, Ordering::Relaxed);
         }
-        self.wake.raise();
+        self.counts.wake.raise();
     }
 
-    /// Counts what was lost before it got here.
+    /// Counts overruns of the FIFO that this is of.
     #[inline]
-    pub(crate) fn count_lost(&mut self, times: u32) {
+    pub(crate) fn count_overruns(&mut self, times: u32) {
         if times > 0 {
-            self.lost.fetch_add(times, Ordering::Relaxed);
-            self.wake.raise();
+            self.counts.overruns.fetch_add(times, Ordering::Relaxed);
+            self.counts.wake.raise();
         }
     }
 }
 
 impl BusOffSender {
     pub(crate) fn count(&mut self) {
-        self.times_off.fetch_add(1, Ordering::Relaxed);
-        self.wake.raise();
+        self.counts.times_off.fetch_add(1, Ordering::Relaxed);
+        self.wake();
     }
 
     pub(crate) fn wake(&mut self) {
-        self.wake.raise();
+        self.counts.wake.raise();
     }
 }
 
@@ -143,18 +158,14 @@ impl Inbox {
 
     /// Waits until something may have arrived.
     pub(crate) fn wait(&mut self) -> impl Future<Output = ()> {
-        self.wake.wait()
+        self.counts.wake.wait()
     }
 
-    /// How many things were lost because a queue or FIFO was full, since the last call.
+    /// What was counted since the last call.
     #[inline]
-    pub(crate) fn take_lost(&mut self) -> u32 {
-        self.lost.swap(0, Ordering::Relaxed)
-    }
-
-    /// How often the controller left the bus since the last call.
-    #[inline]
-    pub(crate) fn take_times_off(&mut self) -> u32 {
-        self.times_off.swap(0, Ordering::Relaxed)
+    pub(crate) fn take_counted(&mut self) -> Counted {
+        let take = |count: &AtomicU32| count.swap(0, Ordering::Relaxed);
+        let Counts { lost, overruns, times_off, .. } = self.counts;
+        Counted { lost: take(lost), overruns: take(overruns), times_off: take(times_off) }
     }
 }

@@ -8,7 +8,7 @@ use cosmic_core::time::Instant;
 use rtic_core::Mutex;
 
 use crate::board::{Board, BusChanges as _, RxFifo, TxMailbox as _, TxOutcomes as _};
-use crate::inbox::{BusOffSender, Inbox, Item, Sender};
+use crate::inbox::{BusOffSender, Counted, Inbox, Item, Sender};
 use crate::node::Node;
 use crate::observer::{CalendarObserver as _, Observer};
 use crate::signal::Signal;
@@ -116,7 +116,7 @@ impl<T: System, F: RxFifo> Receiver<T, F> {
                 self.frames.send(input, received_at);
             }
         }
-        self.frames.count_lost(self.fifo.take_losses());
+        self.frames.count_overruns(self.fifo.take_losses());
     }
 }
 
@@ -163,14 +163,17 @@ impl Events {
     }
 
     fn count<T: System>(&mut self, node: &mut impl Mutex<T = Node<T>>) {
-        let (lost, times_off) = (self.inbox.take_lost(), self.inbox.take_times_off());
+        let Counted { lost, overruns, times_off } = self.inbox.take_counted();
+        let mut tell = |input| {
+            let item = Item { input, at: T::Board::now() };
+            node.lock(|node| node.take_in(&item));
+        };
         if lost > 0 {
-            let item = Item { input: Input::Lost(lost), at: T::Board::now() };
-            node.lock(|node| node.take_in(&item));
+            tell(Input::Lost(lost));
         }
-        for _ in 0..times_off {
-            let item = Item { input: Input::BusOff, at: T::Board::now() };
-            node.lock(|node| node.take_in(&item));
+        if overruns > 0 {
+            tell(Input::Overrun(overruns));
         }
+        (0..times_off).for_each(|_| tell(Input::BusOff));
     }
 }

@@ -1,6 +1,5 @@
 //! A node of the vehicle: its board, its size, and the observer who shows what happens.
 
-use boards::Stm32F405;
 use boards::stm32f4::{MeasuringPoint, MeasuringPoints, Resources};
 use cosmic_core::Subject;
 use cosmic_core::event_layer::{Channel, Content, Delivered, Exception, Filter, Policy, PublishError};
@@ -16,8 +15,18 @@ use crate::records;
 /// What a node of the vehicle is made of.
 pub struct Vehicle;
 
+/// The board that is built for.
+#[cfg(not(board))]
+pub type Board = boards::Stm32F405;
+/// The board that is built for.
+#[cfg(board = "nucleo-f446re")]
+pub type Board = boards::Stm32F4<boards::wiring::NucleoF446Re>;
+/// The board that is built for.
+#[cfg(board = "feather-f405")]
+pub type Board = boards::Stm32F4<boards::wiring::FeatherF405>;
+
 impl System for Vehicle {
-    type Board = Stm32F405;
+    type Board = Board;
     type Capacity = Capacities;
     type Services = ClockService;
     type Observer = Reporter;
@@ -27,7 +36,7 @@ impl System for Vehicle {
 pub fn start(resources: Resources, node: NodePlan, storage: &'static mut Storage<Vehicle>) -> Parts<Vehicle> {
     records::start(cosmic_rtic::EVENT_PRIORITY);
     let records = defmt::unwrap!(cosmic_records::rtt::recorder(&plan::CHANNELS));
-    let mut board = match Stm32F405::start(resources, &node) {
+    let mut board = match Board::start(resources, &node) {
         Ok(board) => board,
         Err(error) => defmt::panic!("the board cannot be brought up: {}", defmt::Debug2Format(&error)),
     };

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 
+use crate::board::Board;
 use crate::images;
 use crate::plan;
 use crate::setup;
@@ -20,6 +21,9 @@ pub(crate) struct Options {
     /// Build for this cluster instead of the example.
     #[arg(long, value_name = "FILE")]
     cluster: Option<PathBuf>,
+    /// Build for this board; without, for those with a crystal of 8 MHz.
+    #[arg(long, value_enum)]
+    board: Option<Board>,
 }
 
 /// Builds the images of the firmware and prints their sizes.
@@ -27,7 +31,7 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
     let cluster = options.cluster.clone().unwrap_or_else(|| plan::example(workspace));
     let cluster = plan::find(cluster)?;
     let way = setup::prepare(&[])?;
-    let (folder, built) = images::kept(workspace, &way, &cluster, &options.images)?;
+    let (folder, built) = images::kept(workspace, &way, &cluster, options.board, &options.images)?;
     print!("{}", size::table(&size::measure_all(&built.images)?));
     println!("The images for {} are in {}.", cluster.display(), folder.display());
     Ok(())

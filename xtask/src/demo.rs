@@ -61,7 +61,7 @@ fn run_wan_built(
     let cluster = plan::find(options.cluster.unwrap_or_else(|| plan::example(workspace)))?;
     let images = match options.images {
         Some(images) => images,
-        None => images::kept(workspace, &setup::prepare(&[])?, &cluster, &[])?.0,
+        None => images::kept(workspace, &setup::prepare(&[])?, &cluster, None, &[])?.0,
     };
     build()?;
     let program = |name: &str| workspace.target_dir().join("debug").join(format!("{name}{EXE_SUFFIX}"));
@@ -115,7 +115,7 @@ pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
         (Some(images), _) => Some(images.clone()),
         (None, Some(apps)) => Some(apps::build(&setup::prepare(&[])?, apps, &cluster, None)?.directory),
         (None, None) if is_of_elf_files => None,
-        (None, None) => Some(images::kept(workspace, &setup::prepare(&[])?, &cluster, &[])?.0),
+        (None, None) => Some(images::kept(workspace, &setup::prepare(&[])?, &cluster, None, &[])?.0),
     };
     let mut program = workspace.cargo();
     program.args(["build", "--release", "--package", PACKAGE, "--bin", "demo"]);

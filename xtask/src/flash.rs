@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 
 use anyhow::{Context as _, Result};
-use clap::{Args, ValueEnum};
+use clap::Args;
 
+use crate::board::{self, Board};
 use crate::plan;
 use crate::run;
 use crate::target::find_program;
@@ -34,25 +35,6 @@ pub(crate) struct Options {
     /// Print the commands, and do nothing.
     #[arg(long)]
     dry_run: bool,
-}
-
-/// A board that the images run on: an 8 MHz crystal, and CAN1 on PB8 and PB9.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
-enum Board {
-    /// Olimex STM32-H405
-    Stm32H405,
-    /// STM32F4DISCOVERY
-    Stm32f4discovery,
-}
-
-impl Board {
-    /// As probe-rs calls it.
-    const fn chip(self) -> &'static str {
-        match self {
-            Self::Stm32H405 => "STM32F405RG",
-            Self::Stm32f4discovery => "STM32F407VG",
-        }
-    }
 }
 
 /// What is to be done with the image.
@@ -84,7 +66,7 @@ impl Act {
 /// Why it cannot be done.
 #[derive(Clone, PartialEq, Eq, Debug)]
 enum Trouble {
-    NoImage { app: String, plan: String, there: Vec<String> },
+    NoImage { app: String, plan: String, there: Vec<String>, build: String },
     NoProbeRs,
     NoProbe,
     SeveralProbes(Vec<String>),
@@ -135,10 +117,10 @@ impl Trouble {
 impl fmt::Display for Trouble {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NoImage { app, plan, there } if there.is_empty() => {
-                write!(f, "there is no image `{app}` for {plan}; `cargo xtask build` makes it")
+            Self::NoImage { app, plan, there, build } if there.is_empty() => {
+                write!(f, "there is no image `{app}` for {plan}; `{build}` makes it")
             }
-            Self::NoImage { app, plan, there } => {
+            Self::NoImage { app, plan, there, .. } => {
                 write!(f, "there is no image `{app}` for {plan}; there are {}", there.join(", "))
             }
             Self::NoProbeRs => {
@@ -166,7 +148,7 @@ impl fmt::Display for Trouble {
 /// Flashes, or attaches.
 pub(crate) fn task(workspace: &Workspace, options: &Options, act: Act) -> Result<ExitCode> {
     let cluster = plan::find(options.cluster.clone().unwrap_or_else(|| plan::example(workspace)))?;
-    let folder = workspace.target_dir().join("images").join(plan::name(workspace, &cluster));
+    let folder = board::folder(workspace, &cluster, Some(options.board));
     match perform(options, act, &cluster, &folder)? {
         Ok(()) => Ok(ExitCode::SUCCESS),
         Err(trouble) => {
@@ -182,7 +164,9 @@ fn perform(options: &Options, act: Act, cluster: &Path, folder: &Path) -> Result
     let is_name = Path::new(&options.app).components().count() == 1;
     if !is_name || !image.is_file() {
         let (app, plan) = (options.app.clone(), cluster.display().to_string());
-        return Ok(Err(Trouble::NoImage { app, plan, there: images_in(folder) }));
+        let board = options.board.built_as().map_or_else(String::new, |board| format!(" --board {board}"));
+        let build = format!("cargo xtask build{board}");
+        return Ok(Err(Trouble::NoImage { app, plan, there: images_in(folder), build }));
     }
     println!("{}, built for {}", image.display(), cluster.display());
     let calls = act.calls(options, &image);

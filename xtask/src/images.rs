@@ -9,6 +9,7 @@ use std::process::Command;
 use anyhow::{Context as _, Result, bail};
 use serde_json::Value;
 
+use crate::board::{self, Board};
 use crate::plan;
 use crate::run::{self, step};
 use crate::setup;
@@ -42,9 +43,23 @@ pub(crate) fn firmware(
     cluster: &Path,
     names: &[String],
 ) -> Result<Built> {
+    for_board(workspace, way, cluster, None, names)
+}
+
+fn for_board(
+    workspace: &Workspace,
+    way: &TargetWay,
+    cluster: &Path,
+    board: Option<Board>,
+    names: &[String],
+) -> Result<Built> {
     step(&format!("building the firmware images for {}", cluster.display()), || {
         let mut command = way.cargo(workspace, "build");
         command.env(plan::VARIABLE, cluster);
+        match board.and_then(Board::built_as) {
+            Some(board) => command.env(board::VARIABLE, board),
+            None => command.env_remove(board::VARIABLE),
+        };
         plan::follow(&mut command, cluster)?;
         build(command, "firmware", PROFILE, names)
     })
@@ -80,10 +95,11 @@ pub(crate) fn kept(
     workspace: &Workspace,
     way: &TargetWay,
     cluster: &Path,
+    board: Option<Board>,
     names: &[String],
 ) -> Result<(PathBuf, Built)> {
-    let mut built = firmware(workspace, way, cluster, names)?;
-    let folder = workspace.target_dir().join("images").join(plan::name(workspace, cluster));
+    let mut built = for_board(workspace, way, cluster, board, names)?;
+    let folder = board::folder(workspace, cluster, board);
     fs::create_dir_all(&folder).with_context(|| format!("making {}", folder.display()))?;
     for (name, image) in &mut built.images {
         let copy = folder.join(name);

@@ -6,6 +6,7 @@ mod apps;
 mod apt;
 mod bench;
 mod bit_rates;
+mod board;
 mod build;
 mod cargo_test;
 mod ci;

@@ -190,7 +190,8 @@ impl Node {
                 }
             }
             42 => self.half.on_input(&Input::BusOff, now),
-            44 => self.half.on_input(&Input::Lost(of.into()), now),
+            44 if of & 1 == 0 => self.half.on_input(&Input::Lost(of.into()), now),
+            44 => self.half.on_input(&Input::Overrun(of.into()), now),
             43 => self.half.services_mut().release(),
             _ => self.half.on_input(&Input::Errors(ErrorCounters { transmit: of, receive: of }), now),
         }

@@ -20,7 +20,7 @@ use crate::time::Instant;
 /// * Each loaded frame has exactly one outcome, also after errors and bus-off: the controller repeats it
 ///   until it is sent or withdrawn.
 /// * Received frames are lost when the host comes too late. [`Status::lost`] counts them; hand them to the event
-///   half as [`Input::Lost`](crate::event_half::Input::Lost).
+///   half as [`Input::Overrun`](crate::event_half::Input::Overrun).
 /// * Frames that are no extended data frames are not returned by `receive`. [`Status::foreign`] counts them.
 /// * After an `Err` nothing is known of the transfer: the host resets the controller and starts anew.
 ///

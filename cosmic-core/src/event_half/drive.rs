@@ -46,6 +46,7 @@ impl<
             Input::Outcome(mailbox, outcome) => self.on_outcome(mailbox, outcome, at),
             Input::Notice(buffer) => self.on_notice(buffer, at),
             Input::Lost(times) => self.raise_times(None, ExceptionKind::InputLost, times, at),
+            Input::Overrun(times) => self.raise_times(None, ExceptionKind::ReceiveOverrun, times, at),
             Input::BusOff => self.raise(None, ExceptionKind::BusOff, at),
             Input::Errors(errors) => self.view.errors = errors,
         }

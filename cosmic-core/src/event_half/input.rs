@@ -17,8 +17,10 @@ pub enum Input {
     Outcome(Mailbox, Outcome),
     /// Something has happened to an HRT message buffer; from [`outcome`] or the dispatcher.
     Notice(BufferId),
-    /// So many frames, outcomes or notices were lost on the way, because a queue or a receive FIFO was full.
+    /// So many frames, outcomes or notices were lost on the way, because a queue was full.
     Lost(u32),
+    /// So many times a frame or more were lost in the controller, because its receive FIFO was full.
+    Overrun(u32),
     /// The controller has left the bus after too many errors.
     BusOff,
     /// The error counters of the controller have changed.

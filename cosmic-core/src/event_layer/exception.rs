@@ -80,7 +80,7 @@ exception_kinds! {
     /// Subscriber: a second event with other content arrived in the same slot, and was dropped. Some other node
     /// sends in it.
     ContradictoryEvent = "contradictory event in one slot",
-    /// Frames, outcomes or notices were lost inside this node, because a queue or a receive FIFO was full.
+    /// Frames, outcomes or notices were lost inside this node, because a queue was full.
     InputLost = "input lost inside the node",
     /// Subscriber: a hard real-time event was overwritten by the next one before the node fetched it.
     EventOverwritten = "event overwritten before it was fetched",
@@ -102,6 +102,8 @@ exception_kinds! {
     UnplannedPublisher = "publisher outside the plan",
     /// Publisher: a channel that the plan does not know was not admitted, or is not any more.
     NotAdmitted = "channel not admitted",
+    /// Frames were lost in this node's controller, because its receive FIFO was full: its interrupt came too late.
+    ReceiveOverrun = "receive FIFO overrun",
 }
 
 impl ExceptionKind {

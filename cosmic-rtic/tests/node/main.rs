@@ -60,14 +60,15 @@ fn what_a_fifo_or_a_queue_loses_becomes_exceptions() {
     LOSSES.set(2);
     urgent.run();
     run_events(&mut events, &node);
-    assert_eq!(exceptions(&node, ExceptionKind::InputLost), 2);
+    assert_eq!(exceptions(&node, ExceptionKind::ReceiveOverrun), 2);
     // The queue of the urgent FIFO has eight places.
     for _ in 0..3 {
         RECEIVED.with_borrow_mut(|received| received.extend([frame(1), frame(2), frame(3)]));
         urgent.run();
     }
     run_events(&mut events, &node);
-    assert_eq!(exceptions(&node, ExceptionKind::InputLost), 3);
+    assert_eq!(exceptions(&node, ExceptionKind::InputLost), 1);
+    assert_eq!(exceptions(&node, ExceptionKind::ReceiveOverrun), 2);
 }
 
 #[test]

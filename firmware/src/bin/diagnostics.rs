@@ -7,13 +7,12 @@ use cosmic_rtt as _;
 
 #[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2, SPI3])]
 mod app {
-    use boards::Stm32F405;
     use cosmic_rtic::prelude::*;
     use firmware::cluster::plan::channels::{brake_force, logbook, suspension, wheel_speed};
     use firmware::cluster::plan::contents::{LogEntry, LogEntryCode, Suspension};
     use firmware::cluster::plan::nodes;
     use firmware::signals;
-    use firmware::vehicle::{Vehicle, planned, start};
+    use firmware::vehicle::{Board, Vehicle, planned, start};
 
     const SUSPENSION_PERIOD: Duration = suspension::PERIOD;
     const LOGBOOK_PERIOD: Duration = logbook::MIN_INTERARRIVAL;
@@ -99,7 +98,7 @@ mod app {
     async fn measure_suspension(mut context: measure_suspension::Context) {
         let node = &mut context.shared.node;
         let Some(suspension) = planned(Publisher::announce(&suspension::CHANNEL, node)) else { return };
-        let mut ticker = Ticker::<Stm32F405>::every(SUSPENSION_PERIOD);
+        let mut ticker = Ticker::<Board>::every(SUSPENSION_PERIOD);
         let mut sequence = 0;
         loop {
             ticker.tick().await;
@@ -114,7 +113,7 @@ mod app {
     async fn write_logbook(mut context: write_logbook::Context) {
         let write_logbook::SharedResources { node, seen, .. } = &mut context.shared;
         let Some(logbook) = planned(Publisher::announce(&logbook::CHANNEL, node)) else { return };
-        let mut ticker = Ticker::<Stm32F405>::every(LOGBOOK_PERIOD);
+        let mut ticker = Ticker::<Board>::every(LOGBOOK_PERIOD);
         let mut sequence = 0;
         loop {
             ticker.tick().await;

@@ -6,13 +6,12 @@ use cosmic_rtt as _;
 
 #[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2, SPI3])]
 mod app {
-    use boards::Stm32F405;
     use cosmic_rtic::prelude::*;
     use firmware::cluster::plan::channels::{logbook, temperature, wheel_speed};
     use firmware::cluster::plan::contents::{Temperature, WheelSpeed};
     use firmware::cluster::plan::nodes;
     use firmware::signals;
-    use firmware::vehicle::{Vehicle, planned, start};
+    use firmware::vehicle::{Board, Vehicle, planned, start};
 
     /// A measurement is published this long before its slot.
     const LEAD: Duration = Duration::from_micros(500);
@@ -107,7 +106,7 @@ mod app {
     async fn measure_temperature(mut context: measure_temperature::Context) {
         let node = &mut context.shared.node;
         let Some(publisher) = planned(Publisher::announce(&temperature::CHANNEL, node)) else { return };
-        let mut ticker = Ticker::<Stm32F405>::every(TEMPERATURE_PERIOD);
+        let mut ticker = Ticker::<Board>::every(TEMPERATURE_PERIOD);
         let mut sequence = 0;
         loop {
             ticker.tick().await;

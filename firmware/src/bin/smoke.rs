@@ -13,10 +13,11 @@ mod app {
     use boards::bxcan_rx::{FIFO_DEPTH, OtherFrames, UrgentFrames};
     use boards::bxcan_tx::{SoftMailbox, TxOutcomes};
     use boards::clock;
-    use boards::stm32f4::{MeasuringPoint, Settings, Stm32F405};
+    use boards::stm32f4::{MeasuringPoint, Settings};
     use cosmic_core::can::filter_banks::{Fifo, FilterBank};
     use cosmic_core::can::{BitRate, Etag, Frame, Id, Mailbox, Payload, Priority, TxNode};
     use cosmic_core::time::Duration;
+    use firmware::vehicle::Board;
 
     /// Hard real-time frames into the urgent FIFO, and all others into the other one.
     const FILTERS: [FilterBank; 2] = [
@@ -42,7 +43,7 @@ mod app {
     fn init(context: init::Context) -> (Shared, Local) {
         firmware::records::start(5);
         let settings = Settings { bit_rate: BitRate::MAX, filters: FILTERS.iter() };
-        let Ok(board) = Stm32F405::new(boards::resources!(context.device), settings, 5) else {
+        let Ok(board) = Board::new(boards::resources!(context.device), settings, 5) else {
             defmt::panic!("the settings ask for what the board cannot do");
         };
         let points = defmt::unwrap!(board.points);

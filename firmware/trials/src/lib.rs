@@ -11,14 +11,16 @@
 //! after its start it hangs in one of several ways. After a reset by the watchdog it does not.
 #![no_std]
 
+mod app;
 mod misdeed;
 
 use core::marker::PhantomData;
 
-use boards::Stm32F405;
+use boards::Stm32F4;
 use boards::pac::IWDG;
-use boards::stm32f4::Resources;
+use boards::stm32f4::OfBoard;
 use boards::watchdog::{Patience, Watchdog};
+use boards::wiring::{Stm32H405, Wiring};
 use cosmic_core::broker::Broker;
 use cosmic_core::plan::NodePlan;
 use cosmic_core::protocol::ResetCause;
@@ -40,23 +42,23 @@ cosmic_core::content! {
     }
 }
 
-/// What a node is made of, and what it hosts.
-pub struct Trial<B = ()>(PhantomData<B>);
+/// What a node is made of: what it hosts, and its board.
+pub struct Trial<B = (), W = Stm32H405>(PhantomData<(B, W)>);
 
 /// One that hosts a broker.
 pub type Host = Trial<Broker<8, 8>>;
 
-impl<B: PlannedHost + 'static> System for Trial<B> {
-    type Board = Stm32F405;
+impl<B: PlannedHost + 'static, W: Wiring> System for Trial<B, W> {
+    type Board = Stm32F4<W>;
     type Capacity = plan::Capacities;
     type Services = NodeServices<8, 16, 8, 16, B>;
     type Observer = (&'static Progress<1>, (Memory, Log));
 }
 
 /// A node that is brought up.
-pub struct Up<B: PlannedHost + 'static> {
+pub struct Up<B: PlannedHost + 'static, W: Wiring> {
     /// Its parts.
-    pub parts: Parts<Trial<B>>,
+    pub parts: Parts<Trial<B, W>>,
     /// Its watchdog, which runs.
     pub watchdog: Watchdog,
     /// What it is to do wrong.
@@ -64,24 +66,24 @@ pub struct Up<B: PlannedHost + 'static> {
 }
 
 /// Brings up a node with the id of its plan, or one that asks for its id.
-pub fn start<B: PlannedHost>(
-    resources: Resources,
+pub fn start<B: PlannedHost, W: Wiring>(
+    resources: OfBoard<W>,
     watchdog: IWDG,
     node: &NodePlan,
     asks: bool,
-    storage: &'static mut Storage<Trial<B>>,
-) -> Up<B> {
+    storage: &'static mut Storage<Trial<B, W>>,
+) -> Up<B, W> {
     cosmic_rtt::start!(2048, cosmic_rtic::EVENT_PRIORITY);
     let cause = boards::reset::take_cause();
     let mut memory = boards::reset::take_memory(cause).expect("nobody else takes it");
     defmt::info!("started by {}", cause);
     memory.recover(|exception| defmt::info!("before that: {}", exception));
-    let board = Stm32F405::start(resources, node).expect("the plan fits the board");
+    let board = Stm32F4::<W>::start(resources, node).expect("the plan fits the board");
     let planned = NodeConfig::planned(node).expect(CLOCKED);
     let tx_node = planned.tx_node.filter(|_| !asks);
     let config = NodeConfig { tx_node, ..planned };
     let services =
-        NodeServices::new(&config, node.calendar, B::planned(node), Stm32F405::now()).expect(CLOCKED);
+        NodeServices::new(&config, node.calendar, B::planned(node), Stm32F4::<W>::now()).expect(CLOCKED);
     let observer = (&PROGRESS, (memory, Log));
     let mut parts = cosmic_rtic::start_with(board, node, storage, services, observer, (&PROGRESS, ((), ())));
     parts.node.set_reset_cause(cause);
@@ -90,17 +92,17 @@ pub fn start<B: PlannedHost>(
 }
 
 /// Feeds the watchdog.
-pub async fn supervise<B: PlannedHost + 'static>(
+pub async fn supervise<B: PlannedHost + 'static, W: Wiring>(
     watchdog: Watchdog,
-    node: impl Mutex<T = Node<Trial<B>>>,
+    node: impl Mutex<T = Node<Trial<B, W>>>,
 ) -> ! {
     PROGRESS.supervise(watchdog, PERIOD, node).await
 }
 
 /// The application of the worker: an event for each slot, once the cluster has a time.
-pub async fn work(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial>>) {
-    let mut ticker = Ticker::<Stm32F405>::every(TURN);
-    while !node.lock(|node| node.clock()).is_synchronised(Stm32F405::now()) {
+pub async fn work<W: Wiring>(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial<(), W>>>) {
+    let mut ticker = Ticker::<Stm32F4<W>>::every(TURN);
+    while !node.lock(|node| node.clock()).is_synchronised(Stm32F4::<W>::now()) {
         ticker.tick().await;
         PROGRESS.made::<0>();
     }
@@ -117,9 +119,9 @@ pub async fn work(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial>>) {
 }
 
 /// The application of the guest.
-pub async fn count(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial>>) {
+pub async fn count<W: Wiring>(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial<(), W>>>) {
     let counts = Publisher::announce(&count::channel::<Number>(), &mut node).expect(PLANNED);
-    let mut ticker = Ticker::<Stm32F405>::every(TURN);
+    let mut ticker = Ticker::<Stm32F4<W>>::every(TURN);
     for number in 0.. {
         ticker.tick().await;
         PROGRESS.made::<0>();
@@ -132,10 +134,13 @@ pub async fn count(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial>>) {
 }
 
 /// The application of the master and the deputy: says what has come.
-pub async fn watch<B: PlannedHost + 'static>(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial<B>>>) {
+pub async fn watch<B: PlannedHost + 'static, W: Wiring>(
+    misdeed: Misdeed,
+    mut node: impl Mutex<T = Node<Trial<B, W>>>,
+) {
     let beats = Subscriber::subscribe(&beat::channel::<Number>(), QUEUE, &mut node).expect(PLANNED);
     let counts = Subscriber::subscribe(&count::channel::<Number>(), QUEUE, &mut node).expect(PLANNED);
-    let mut ticker = Ticker::<Stm32F405>::every(TURN);
+    let mut ticker = Ticker::<Stm32F4<W>>::every(TURN);
     let (mut beaten, mut counted) = (0_u32, 0_u32);
     for number in 0.. {
         ticker.tick().await;

@@ -2,8 +2,7 @@
 
 use core::future::pending;
 
-use cosmic_rtic::{Node, System};
-use rtic::Mutex;
+use cosmic_rtic::prelude::*;
 
 /// What a node does wrong.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
@@ -20,6 +19,8 @@ pub enum Misdeed {
     Masks,
     /// A fault.
     Faults,
+    /// All interrupts are masked, for so many microseconds.
+    Pauses(u32),
 }
 
 impl Misdeed {
@@ -32,6 +33,9 @@ impl Misdeed {
             b'L' => Self::Locks,
             b'M' => Self::Masks,
             b'F' => Self::Faults,
+            // Short of, and beyond, what a FIFO of three holds of frames of a tenth of a millisecond.
+            b'3' => Self::Pauses(280),
+            b'4' => Self::Pauses(900),
             _ => Self::None,
         }
     }
@@ -51,6 +55,10 @@ impl Misdeed {
                 turn_in_circles()
             }
             Self::Faults => cortex_m::asm::udf(),
+            Self::Pauses(us) => {
+                let end = T::Board::now() + Duration::from_micros(us.into());
+                cortex_m::interrupt::free(|_| while T::Board::now() < end {});
+            }
         }
     }
 }

@@ -19,7 +19,7 @@
 //!
 //! # What is emulated
 //! A Cortex-M4F core with its interrupt controller, SysTick and cycle counter; flash memory, RAM, RCC,
-//! GPIO, TIM2 to TIM5, bxCAN1, the independent watchdog. What the firmware touches beyond that is reported
+//! GPIO, TIM2 to TIM5, bxCAN1 and bxCAN2, the independent watchdog. What the firmware touches beyond that is reported
 //! ([`ObservationKind::NotModelled`]), never ignored in silence. Nothing in the image knows that it is
 //! emulated: logs and records are read out of its RTT buffers as a debug probe would, measuring points are
 //! edges of its pins.
@@ -62,4 +62,5 @@ pub use image::LoadError;
 pub use log::LogLine;
 pub use node::{Firmware, NodeConfig};
 pub use observation::{Masked, NodeId, Observation, ObservationKind, Pin, Place, ResetCause, StopReason};
+pub use soc::can::CanController;
 pub use station::{BackgroundLoad, Port, Station};

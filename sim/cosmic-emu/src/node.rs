@@ -20,8 +20,8 @@ use crate::log::LogDecoder;
 use crate::memory;
 use crate::observation::{Masked, ObservationKind, Pin, Place, ResetCause, StopReason};
 use crate::rtt::Rtt;
-use crate::soc::can::{Command, Outcome};
-use crate::soc::{HappeningKind, Oscillators, System, number};
+use crate::soc::can::{CanController, Command, Outcome};
+use crate::soc::{HappeningKind, System, Wiring, number};
 
 /// Where a node's firmware comes from.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -53,6 +53,8 @@ pub struct NodeConfig {
     /// The internal low-speed oscillator, which the independent watchdog counts: 32 kHz, but 17 to 47 kHz over parts
     /// and temperatures (STM32F405 datasheet, 5.3.9).
     pub low_speed: HertzU32,
+    /// Which of its controllers the transceiver is at.
+    pub can: CanController,
     /// The unique device identifier that the firmware can read (RM0090, 39.1).
     pub unique_id: [u8; 12],
 }
@@ -73,6 +75,7 @@ impl NodeConfig {
             start_at: time::EPOCH,
             crystal: HertzU32::MHz(8),
             low_speed: HertzU32::kHz(32),
+            can: CanController::Can1,
             unique_id,
         }
     }
@@ -418,10 +421,12 @@ impl Node {
                 let started = system.timebase.cycle_at(start_of(frame, at, bit_time));
                 system.can.receive(started, frame);
             }
-            EventKind::Sent { mailbox } => system.can.complete(now, *mailbox, Outcome::Sent),
-            EventKind::Withdrawn { mailbox } => system.can.complete(now, *mailbox, Outcome::Withdrawn),
-            EventKind::Failed { mailbox, cause } => system.can.failed(now, *mailbox, *cause),
-            EventKind::ErrorState(state) => system.can.set_errors(*state),
+            EventKind::Sent { mailbox } => system.can.wired_mut().complete(now, *mailbox, Outcome::Sent),
+            EventKind::Withdrawn { mailbox } => {
+                system.can.wired_mut().complete(now, *mailbox, Outcome::Withdrawn)
+            }
+            EventKind::Failed { mailbox, cause } => system.can.wired_mut().failed(now, *mailbox, *cause),
+            EventKind::ErrorState(state) => system.can.wired_mut().set_errors(*state),
         }
         system.update_lines();
     }
@@ -429,7 +434,7 @@ impl Node {
     /// The bus counted errors.
     pub(crate) fn set_errors(&mut self, errors: ErrorState) {
         let mut system = self.system.borrow_mut();
-        system.can.set_errors(errors);
+        system.can.wired_mut().set_errors(errors);
         system.update_lines();
     }
 
@@ -517,7 +522,7 @@ type Hardware = (Box<dyn Cpu>, Rc<Pace>, Rc<RefCell<System>>);
 /// A part that is switched on at `at`.
 fn power_on(config: &NodeConfig, image: &Image, at: VirtualInstant) -> Hardware {
     let pace = Rc::new(Pace::default());
-    let system = System::new(&pace, at, oscillators(config));
+    let system = System::new(&pace, at, wiring(config));
     let (mut cpu, pace, system) = out_of_reset(config, image, pace, system);
     // Does not fail: the loader has checked that there is RAM.
     for (address, bytes) in &image.ram {
@@ -536,7 +541,7 @@ fn reset(
     cause: ResetCause,
 ) -> Hardware {
     let pace = Rc::new(Pace::default());
-    let system = system.reset(&pace, at, oscillators(config), cause);
+    let system = system.reset(&pace, at, wiring(config), cause);
     let (mut new, pace, system) = out_of_reset(config, image, pace, system);
     for region in [memory::RAM, memory::CCM] {
         let mut content = vec![0; region.size as usize];
@@ -547,11 +552,12 @@ fn reset(
     (new, pace, system)
 }
 
-fn oscillators(config: &NodeConfig) -> Oscillators {
-    Oscillators {
+fn wiring(config: &NodeConfig) -> Wiring {
+    Wiring {
         error: config.clock_error,
         crystal_hertz: config.crystal.to_Hz(),
         low_speed_hertz: config.low_speed.to_Hz(),
+        can: config.can,
     }
 }
 

@@ -8,7 +8,8 @@ use cosmic_bus::trace::{TraceEvent, TraceKind};
 use cosmic_bus::{Bus, FaultModel, VirtualInstant};
 use cosmic_core::can::{BitRate, Frame};
 use cosmic_core::protocol::{ControlMessage, NodeStatus};
-use cosmic_emu::{Cluster, NodeConfig, NodeId, Observation, ObservationKind, ResetCause};
+use cosmic_emu::{CanController, Cluster, NodeConfig, NodeId, Observation, ObservationKind, ResetCause};
+use fugit::HertzU32;
 
 /// A cluster while it runs.
 pub struct Trial {
@@ -152,6 +153,15 @@ impl Trial {
         let name = |id: NodeId| self.nodes.iter().find(|(_, it)| *it == id).map_or("?", |(name, _)| name);
         let told = |seen: &Observation| format!("{} at {}: {}", name(seen.node), seen.at, seen.kind);
         self.seen.iter().filter(odd).map(told).collect()
+    }
+}
+
+/// What stands around the chip on the board that an image is built for.
+pub fn on_board(config: &mut NodeConfig) {
+    match config.name.as_str() {
+        "worker_nucleo" => config.can = CanController::Can2,
+        "guest_feather" => config.crystal = HertzU32::MHz(12),
+        _ => {}
     }
 }
 

@@ -21,7 +21,7 @@ use std::rc::Rc;
 use crate::clock::{ClockError, Timebase};
 use crate::cpu::{AccessKind, Io, Pace};
 use crate::observation::ResetCause;
-use can::BxCan;
+use can::{CanController, CanPair};
 use cosmic_bus::VirtualInstant;
 use gpio::Port;
 pub(crate) use nvic::{Masks, Nvic, number};
@@ -38,14 +38,17 @@ const PRIVATE: u32 = 0xE000_0000;
 const TIMER_INTERRUPTS: [u16; 4] = [28, 29, 30, 50];
 const IWDG: u32 = 0x4000_3000;
 const CAN1: u32 = 0x4000_6400;
+const CAN2: u32 = 0x4000_6800;
 
-/// What a part is clocked by.
+/// What stands around a part on its board.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) struct Oscillators {
+pub(crate) struct Wiring {
     /// Of the crystal, and of what is derived from it.
     pub(crate) error: ClockError,
     pub(crate) crystal_hertz: u32,
     pub(crate) low_speed_hertz: u32,
+    /// Where the transceiver is.
+    pub(crate) can: CanController,
 }
 
 /// Something that happened in a node.
@@ -72,7 +75,7 @@ pub(crate) struct System {
     pub(crate) timebase: Timebase,
     pub(crate) nvic: Nvic,
     pub(crate) control: SystemControl,
-    pub(crate) can: BxCan,
+    pub(crate) can: CanPair,
     rcc: Rcc,
     timers: [Timer; 4],
     ports: [Port; 9],
@@ -93,8 +96,8 @@ pub(crate) struct System {
 
 impl System {
     /// After power-on at `start`.
-    pub(crate) fn new(pace: &Rc<Pace>, start: VirtualInstant, oscillators: Oscillators) -> Self {
-        Self::with_clocks(pace, start, oscillators, Rcc::new(oscillators.crystal_hertz))
+    pub(crate) fn new(pace: &Rc<Pace>, start: VirtualInstant, wiring: Wiring) -> Self {
+        Self::with_clocks(pace, start, wiring, Rcc::new(wiring.crystal_hertz))
     }
 
     /// After a reset at `start` that leaves the power on.
@@ -102,20 +105,20 @@ impl System {
         &self,
         pace: &Rc<Pace>,
         start: VirtualInstant,
-        oscillators: Oscillators,
+        wiring: Wiring,
         cause: ResetCause,
     ) -> Self {
-        Self::with_clocks(pace, start, oscillators, self.rcc.reset(cause))
+        Self::with_clocks(pace, start, wiring, self.rcc.reset(cause))
     }
 
-    fn with_clocks(pace: &Rc<Pace>, start: VirtualInstant, oscillators: Oscillators, rcc: Rcc) -> Self {
-        let Oscillators { error, low_speed_hertz, .. } = oscillators;
+    fn with_clocks(pace: &Rc<Pace>, start: VirtualInstant, wiring: Wiring, rcc: Rcc) -> Self {
+        let Wiring { error, low_speed_hertz, can: wired, .. } = wiring;
         Self {
             pace: Rc::clone(pace),
             timebase: Timebase::new(start, rcc.clocks().hclk_hertz, error),
             nvic: Nvic::new(),
             control: SystemControl::new(),
-            can: BxCan::new(),
+            can: CanPair::new(wired),
             rcc,
             timers: [u32::MAX, 0xFFFF, 0xFFFF, u32::MAX].map(Timer::new),
             ports: core::array::from_fn(|port| match port {
@@ -142,7 +145,7 @@ impl System {
     /// The bit rate that the firmware set in CAN1, in bits per second, rounded.
     pub(crate) fn can_bits_per_second(&self) -> u32 {
         let clocks = self.rcc.clocks();
-        clocks.hclk_hertz / clocks.apb1_divider / self.can.bit_timing().periods
+        clocks.hclk_hertz / clocks.apb1_divider / self.can.wired().bit_timing().periods
     }
 
     /// What TIM2 shows, and since when; `None` while it stands.
@@ -199,7 +202,7 @@ impl System {
 
     /// Returns whether the node must stop because others have to act first.
     pub(crate) fn must_stop(&self) -> bool {
-        self.can.waits_for_bus() || self.reset_requested.is_some()
+        self.can.wired().waits_for_bus() || self.reset_requested.is_some()
     }
 
     fn update_limit(&self) {
@@ -210,7 +213,7 @@ impl System {
         for (timer, interrupt) in self.timers.iter().zip(TIMER_INTERRUPTS) {
             self.nvic.set_line(interrupt, timer.interrupt());
         }
-        for (asserted, interrupt) in self.can.interrupts().into_iter().zip(can::INTERRUPTS) {
+        for (interrupt, asserted) in self.can.interrupts() {
             self.nvic.set_line(interrupt, asserted);
         }
     }
@@ -232,7 +235,7 @@ impl System {
             PRIVATE..=u32::MAX => self.control.read(self.pace.cycle(), address - PRIVATE, &self.nvic),
             0x4000_0000..=0x4000_0FFF => self.timers[timer_at(address)].read(offset),
             IWDG..=0x4000_33FF => self.watchdog.read(offset),
-            CAN1..=0x4000_67FF => self.can.read(offset),
+            CAN1..=0x4000_6BFF => self.can.read(controller_at(address), offset),
             0x4002_0000..=0x4002_23FF => self.ports[port_at(address)].read(offset),
             0x4002_3800..=0x4002_3BFF => self.rcc.read(offset),
             _ => None,
@@ -265,7 +268,7 @@ impl System {
                 self.update_watchdog();
                 Ok(())
             }
-            CAN1..=0x4000_67FF => self.can.write(now, offset, value).map_err(|_| ()),
+            CAN1..=0x4000_6BFF => self.can.write(controller_at(address), now, offset, value).map_err(|_| ()),
             0x4002_0000..=0x4002_23FF => self.write_port(port_at(address), offset, value),
             0x4002_3800..=0x4002_3BFF => self.write_rcc(offset, value),
             _ => Err(()),
@@ -296,8 +299,10 @@ impl System {
             }
         }
         self.can.set_clock_period(clocks.apb1_divider.into());
-        if self.rcc.is_in_reset(CAN1) {
-            self.can.reset(now);
+        for (which, address) in CanController::BOTH.into_iter().zip([CAN1, CAN2]) {
+            if self.rcc.is_in_reset(address) {
+                self.can.reset(which, now);
+            }
         }
         Ok(())
     }
@@ -401,6 +406,10 @@ const fn timer_at(address: u32) -> usize {
     (address - PERIPHERALS) as usize / 0x400 % 4
 }
 
+const fn controller_at(address: u32) -> CanController {
+    if address < CAN2 { CanController::Can1 } else { CanController::Can2 }
+}
+
 const fn port_at(address: u32) -> usize {
     (address - 0x4002_0000) as usize / 0x400 % 9
 }
@@ -411,9 +420,10 @@ mod tests {
 
     fn system() -> System {
         let pace = Rc::new(Pace::default());
-        let oscillators =
-            Oscillators { error: ClockError::ZERO, crystal_hertz: 8_000_000, low_speed_hertz: 32_000 };
-        System::new(&pace, VirtualInstant::from_ticks(0), oscillators)
+        let can = CanController::Can1;
+        let wiring =
+            Wiring { error: ClockError::ZERO, crystal_hertz: 8_000_000, low_speed_hertz: 32_000, can };
+        System::new(&pace, VirtualInstant::from_ticks(0), wiring)
     }
 
     #[test]

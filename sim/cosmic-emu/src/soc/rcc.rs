@@ -7,6 +7,9 @@ use crate::observation::ResetCause;
 /// The internal oscillator.
 const HSI_HERTZ: u32 = 16_000_000;
 
+const CAN1: u32 = 0x4000_6400;
+const CAN2: u32 = 0x4000_6800;
+
 /// Registers up to DCKCFGR.
 const WORDS: usize = 0x90 / 4;
 
@@ -140,10 +143,12 @@ impl Rcc {
 
     /// Returns whether the peripheral at this address has its clock. Those without an enable bit always have.
     pub(crate) fn is_clocked(&self, address: u32) -> bool {
-        match gate(address) {
+        let is_on = |address| match gate(address) {
             Some((bus, bit)) => self.words[register::AHB1ENR + bus] >> bit & 1 != 0,
             None => true,
-        }
+        };
+        // CAN2 reaches its memory through CAN1 (RM0090, dual CAN).
+        is_on(address) && (!(CAN2..CAN2 + 0x400).contains(&address) || is_on(CAN1))
     }
 
     /// Returns whether the peripheral at this address is held in reset.
@@ -163,8 +168,8 @@ fn gate(address: u32) -> Option<(usize, u32)> {
         0x4002_0000..=0x4002_23FF => (0, (address - 0x4002_0000) / 0x400),
         // TIM2 to TIM14, in the order of their addresses.
         0x4000_0000..=0x4000_23FF => (APB1, (address - 0x4000_0000) / 0x400),
-        0x4000_6400..=0x4000_67FF => (APB1, 25),
-        0x4000_6800..=0x4000_6BFF => (APB1, 26),
+        CAN1..=0x4000_67FF => (APB1, 25),
+        CAN2..=0x4000_6BFF => (APB1, 26),
         0x4000_7000..=0x4000_73FF => (APB1, 28),
         0x4001_3800..=0x4001_3BFF => (APB2, 14),
         _ => return None,
@@ -213,7 +218,11 @@ mod tests {
         let mut rcc = Rcc::new(8_000_000);
         assert!(!rcc.is_clocked(0x4000_6400));
         rcc.write(0x40, 1 << 25).unwrap();
-        assert!(rcc.is_clocked(0x4000_6400));
+        assert!(rcc.is_clocked(0x4000_6400) && !rcc.is_clocked(0x4000_6800));
+        rcc.write(0x40, 1 << 26).unwrap();
+        assert!(!rcc.is_clocked(0x4000_6800), "CAN2 needs the clock of CAN1, too");
+        rcc.write(0x40, 1 << 26 | 1 << 25).unwrap();
+        assert!(rcc.is_clocked(0x4000_6800));
         rcc.write(0x20, 1).unwrap();
         assert!(rcc.is_in_reset(0x4000_0024));
         assert!(rcc.is_clocked(0x4002_3C00));

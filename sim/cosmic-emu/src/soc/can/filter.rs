@@ -1,8 +1,12 @@
 //! Acceptance filters of bxCAN (RM0090, identifier filtering): banks in mask or list mode, of 16 or 32
 //! bits, each assigned to one of the two FIFOs.
 
+use std::ops::Range;
+
 use cosmic_bus::WireFrame;
 use embedded_can::Frame as _;
+
+use super::CanController;
 
 /// Filter banks, shared with CAN2.
 pub(super) const BANKS: usize = 28;
@@ -71,11 +75,11 @@ impl FilterBanks {
         Some(())
     }
 
-    /// Where CAN1 stores the frame; `None` if no filter accepts it.
+    /// Where a controller stores the frame; `None` if no filter accepts it.
     ///
     /// Among several matches a 32-bit filter wins over a 16-bit one, a list over a mask, a small number
     /// over a large one.
-    pub(super) fn accept(&self, frame: &WireFrame) -> Option<Match> {
+    pub(super) fn accept(&self, whose: CanController, frame: &WireFrame) -> Option<Match> {
         // No filter is in effect while they are initialised.
         if self.fmr & FMR_FINIT != 0 {
             return None;
@@ -84,7 +88,7 @@ impl FilterBanks {
         // Inactive banks count in the numbering all the same.
         let mut next_index = [0_u8; 2];
         let (id32, id16) = (identifier_32(frame), identifier_16(frame));
-        for bank in 0..self.banks_of_can1() {
+        for bank in self.banks_of(whose) {
             let bit = |set: u32| set >> bank & 1 != 0;
             let fifo = usize::from(bit(self.fifo));
             let (narrow, mask) = (!bit(self.wide), !bit(self.list));
@@ -110,8 +114,13 @@ impl FilterBanks {
         best.map(|(_, found)| found)
     }
 
-    fn banks_of_can1(&self) -> usize {
-        (self.fmr >> 8 & 0x3F).min(BANKS as u32) as usize
+    /// CAN2SB is the first of CAN2's.
+    fn banks_of(&self, whose: CanController) -> Range<usize> {
+        let second = (self.fmr >> 8 & 0x3F).min(BANKS as u32) as usize;
+        match whose {
+            CanController::Can1 => 0..second,
+            CanController::Can2 => second..BANKS,
+        }
     }
 }
 
@@ -161,11 +170,11 @@ mod tests {
         let mask = 0xFF << (21 + 3) | 1 << 2 | 1 << 1;
         let writes = [(0x20C, 3), (0x214, 2), (0x240, 1 << 2), (0x244, mask), (0x248, 0), (0x24C, 0)];
         let mut banks = banks(&writes);
-        assert_eq!(banks.accept(&extended(5)), None);
+        assert_eq!(banks.accept(CanController::Can1, &extended(5)), None);
         banks.write(0x21C, 3).unwrap();
-        assert_eq!(banks.accept(&extended(5)), Some(Match { fifo: 0, index: 0 }));
-        assert_eq!(banks.accept(&extended(1 << 21)), Some(Match { fifo: 1, index: 0 }));
-        assert_eq!(banks.accept(&standard(0)), Some(Match { fifo: 1, index: 0 }));
+        assert_eq!(banks.accept(CanController::Can1, &extended(5)), Some(Match { fifo: 0, index: 0 }));
+        assert_eq!(banks.accept(CanController::Can1, &extended(1 << 21)), Some(Match { fifo: 1, index: 0 }));
+        assert_eq!(banks.accept(CanController::Can1, &standard(0)), Some(Match { fifo: 1, index: 0 }));
     }
 
     #[test]
@@ -175,17 +184,17 @@ mod tests {
         let list = identifier_32(&id);
         let writes = [(0x20C, 6), (0x204, 4), (0x250, 0), (0x254, list), (0x21C, 7)];
         let banks = banks(&writes);
-        assert_eq!(banks.accept(&id), Some(Match { fifo: 0, index: 4 }));
-        assert_eq!(banks.accept(&extended(1)), Some(Match { fifo: 0, index: 2 }));
+        assert_eq!(banks.accept(CanController::Can1, &id), Some(Match { fifo: 0, index: 4 }));
+        assert_eq!(banks.accept(CanController::Can1, &extended(1)), Some(Match { fifo: 0, index: 2 }));
     }
 
     #[test]
     fn lists_of_16_bits() {
         let writes = [(0x204, 1), (0x240, 0x123 << 5), (0x244, 0x7FF << 21), (0x21C, 1)];
         let banks = banks(&writes);
-        assert_eq!(banks.accept(&standard(0x123)), Some(Match { fifo: 0, index: 0 }));
-        assert_eq!(banks.accept(&standard(0x7FF)), Some(Match { fifo: 0, index: 3 }));
-        assert_eq!(banks.accept(&standard(0x124)), None);
+        assert_eq!(banks.accept(CanController::Can1, &standard(0x123)), Some(Match { fifo: 0, index: 0 }));
+        assert_eq!(banks.accept(CanController::Can1, &standard(0x7FF)), Some(Match { fifo: 0, index: 3 }));
+        assert_eq!(banks.accept(CanController::Can1, &standard(0x124)), None);
     }
 
     #[test]
@@ -193,9 +202,9 @@ mod tests {
         let mut banks = FilterBanks::new();
         banks.write(0x20C, 1).unwrap();
         banks.write(0x21C, 1).unwrap();
-        assert_eq!(banks.accept(&standard(1)), None);
+        assert_eq!(banks.accept(CanController::Can1, &standard(1)), None);
         banks.write(0x200, 0x0E00).unwrap();
-        assert!(banks.accept(&standard(1)).is_some());
+        assert!(banks.accept(CanController::Can1, &standard(1)).is_some());
         // Outside of initialisation neither mode nor active banks change.
         banks.write(0x20C, 0).unwrap();
         banks.write(0x244, u32::MAX).unwrap();

@@ -4,6 +4,7 @@
 use cosmic_bus::{ErrorState, WireFrame};
 use embedded_can::{ExtendedId, Frame as _};
 
+use super::random::Random;
 use super::{BxCan, Command, Outcome};
 
 /// What the manual says, in the shape of its figures: three slots in a ring, one flag for each bit.
@@ -131,18 +132,6 @@ impl Manual {
         let tx = enabled(0) && self.mailboxes.iter().any(|it| it.completed);
         let rx = enabled(1) && self.pending > 0 || enabled(2) && self.full || enabled(3) && self.overrun;
         [tx, rx, false, enabled(15) && self.erri]
-    }
-}
-
-/// Splitmix64.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, limit: u32) -> u32 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((mixed ^ mixed >> 31) % u64::from(limit)) as u32
     }
 }
 

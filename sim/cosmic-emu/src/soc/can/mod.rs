@@ -1,4 +1,4 @@
-//! bxCAN1 (RM0090, chapter 32): modes, mailboxes, FIFOs, filters, errors, interrupts.
+//! A bxCAN (RM0090, chapter 32): modes, mailboxes, FIFOs, filters, errors, interrupts.
 //!
 //! The controller does not know the bus. What it wants done there is a list of [`Command`]s, each with
 //! its cycle; what happens there is told to it. The bus itself counts errors and retransmits.
@@ -12,13 +12,20 @@ mod fifo;
 mod filter;
 #[cfg(test)]
 mod manual;
+mod pair;
+#[cfg(test)]
+mod random;
+#[cfg(test)]
+mod reception;
 mod transmit;
 
 use cosmic_bus::{ErrorCause, ErrorLevel, ErrorState, WireFrame};
 
 use super::timer::NotModelled;
 use fifo::Fifo;
-use filter::FilterBanks;
+use filter::{FilterBanks, Match};
+pub use pair::CanController;
+pub(crate) use pair::CanPair;
 use transmit::Transmit;
 
 mod mcr {
@@ -69,8 +76,8 @@ mod btr {
     pub(super) const LOOP_BACK_OR_SILENT: u32 = 0x3 << 30;
 }
 
-/// Interrupts of CAN1, by number.
-pub(super) const INTERRUPTS: [u16; 4] = [19, 20, 21, 22];
+/// Interrupts of CAN1 and CAN2, by number (RM0090, table 62).
+const INTERRUPTS: [[u16; 4]; 2] = [[19, 20, 21, 22], [63, 64, 65, 66]];
 /// Bits until a node that leaves initialisation mode takes part.
 const INTEGRATION_BITS: u64 = 11;
 
@@ -195,6 +202,14 @@ impl BxCan {
         ]
     }
 
+    /// Receives a frame as CAN1.
+    #[cfg(test)]
+    fn receive(&mut self, started: u64, frame: &WireFrame) {
+        if let Some(found) = self.accept(CanController::Can1, frame) {
+            self.store(started, frame, found);
+        }
+    }
+
     /// When [`BxCan::advance`] must be called next.
     pub(crate) fn deadline(&self) -> Option<u64> {
         self.synchronised_at
@@ -234,9 +249,13 @@ impl BxCan {
         }
     }
 
-    /// A frame whose start of frame was at the cycle `started` was received.
-    pub(crate) fn receive(&mut self, started: u64, frame: &WireFrame) {
-        let Some(found) = self.filters.accept(frame) else { return };
+    /// Where a controller stores the frame, by the filters of both, which are CAN1's; `None` if none accepts it.
+    fn accept(&self, whose: CanController, frame: &WireFrame) -> Option<Match> {
+        self.filters.accept(whose, frame)
+    }
+
+    /// A frame whose start of frame was at the cycle `started` was received, and accepted.
+    fn store(&mut self, started: u64, frame: &WireFrame, found: Match) {
         self.last_error = 0;
         let time = if self.mcr & mcr::TTCM == 0 {
             0

@@ -1,0 +1,123 @@
+//! A node that goes off the bus comes back by itself; one whose receive interrupt is held up says what it lost.
+
+use std::cell::Cell;
+use std::collections::BTreeSet;
+use std::rc::Rc;
+
+use cosmic_bus::{BitPosition, ErrorLevel, EventKind, Fault, Filter, Rule, VirtualInstant};
+use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
+use cosmic_core::protocol::NodeState;
+use cosmic_emu::{Port, Station};
+use cosmic_trials::{Trial, ms};
+use embedded_can::ExtendedId;
+
+/// So many attempts in a row take a controller off the bus: each counts eight.
+const TO_BUS_OFF: u32 = 32;
+
+/// Destroys so many attempts of a node in a row, from the first second on, and looks at what is two seconds later.
+fn off_the_bus(name: &str, tx_node: u8) -> Trial {
+    let mut trial = Trial::new(&[("master", 0), ("deputy", 0), ("worker", 0), ("guest", 0)]);
+    trial.run_until(1_000);
+    let own = ExtendedId::new(u32::from(tx_node) << 14).unwrap();
+    let frames = Filter::new(own.into(), false, 0x7F << 14);
+    let fault = Fault::Inverted(BitPosition::FromStart(60));
+    trial.cluster.bus_mut().faults_mut().add_rule(Rule { frames, skip: 0, count: TO_BUS_OFF, fault });
+    let mut off = false;
+    for step in 0..800 {
+        trial.run_until(1_000 + step);
+        let state = trial.cluster.bus().error_state(trial.cluster.station(trial.node(name)));
+        off |= state.level() == ErrorLevel::BusOff;
+    }
+    assert!(off, "{name} did not go off the bus");
+    trial.run_until(3_500);
+    let told = trial.log(name, 1_000).into_iter().filter(|(_, line)| line.contains("BusOff")).count();
+    assert_eq!(told, 1, "{name}: {:#?}", trial.log(name, 1_000));
+    let state = trial.cluster.bus().error_state(trial.cluster.station(trial.node(name)));
+    assert_eq!(state.level(), ErrorLevel::Active, "{name}: {state:?}");
+    assert_eq!(trial.oddities(), Vec::<String>::new(), "{name}");
+    for (name, _) in &trial.nodes {
+        assert_eq!(trial.resets(name), [], "{name}");
+    }
+    let states: BTreeSet<_> =
+        trial.statuses(2_400).map(|(_, status)| (status.tx_node, status.state as u8)).collect();
+    assert_eq!(states.len(), 4, "{name}: {states:?}");
+    assert!(states.iter().all(|(_, state)| *state == NodeState::Operational as u8), "{name}: {states:?}");
+    let beats = trial.frames(2_500).filter(|(_, frame)| frame.id.priority() == Priority::HARD).count();
+    assert!((99..=101).contains(&beats), "{name}: {beats} beats in the last second");
+    trial
+}
+
+#[test]
+fn a_worker_goes_on_in_its_slots() {
+    let trial = off_the_bus("worker", 3);
+    // It has told of each slot that it could not use.
+    assert!(trial.said("worker", "OmissionDegreeExceeded", 1_000));
+}
+
+#[test]
+fn a_time_master_takes_its_place_again() {
+    off_the_bus("master", 1);
+}
+
+#[test]
+fn a_guest_goes_on() {
+    off_the_bus("guest", 126);
+}
+
+/// Sends frames of one identifier one behind the other for a while, each with its number.
+struct Burst {
+    id: Id,
+    starts_at: Option<VirtualInstant>,
+    left: Rc<Cell<u32>>,
+}
+
+impl Burst {
+    fn load(&mut self, port: &mut Port<'_>) {
+        if self.left.get() > 0 {
+            self.left.set(self.left.get() - 1);
+            let payload = Payload::new(&self.left.get().to_be_bytes()).unwrap();
+            assert!(port.load(0, Frame::new(self.id, payload).into()));
+        }
+    }
+}
+
+impl Station for Burst {
+    fn acts_at(&self) -> Option<VirtualInstant> {
+        self.starts_at
+    }
+
+    fn act(&mut self, port: &mut Port<'_>) {
+        self.starts_at = None;
+        self.load(port);
+    }
+
+    fn on_event(&mut self, event: &EventKind, port: &mut Port<'_>) {
+        if let EventKind::Sent { .. } = event {
+            self.load(port);
+        }
+    }
+}
+
+/// The worker holds up its interrupts while the bus is full of frames that it takes: those of the clock.
+fn held_up(misdeed: u8) -> Trial {
+    let mut trial = Trial::new(&[("master", 0), ("deputy", 0), ("worker", misdeed)]);
+    // A claim of an id that nobody has: every node hears it.
+    let id = Id::new(Priority::LEAST, TxNode::new(100).unwrap(), Etag::INTEREST);
+    let burst = Burst { id, starts_at: Some(ms(1_000)), left: Rc::new(Cell::new(8_000)) };
+    trial.cluster.add_station("burst", Box::new(burst));
+    trial.run_until(2_500);
+    trial
+}
+
+#[test]
+fn three_frames_wait_in_the_controller_and_a_fourth_is_told_to_be_lost() {
+    let trial = held_up(b'3');
+    assert!(trial.said("worker", "misbehaves", 0), "{:#?}", trial.log("worker", 0));
+    assert!(!trial.said("worker", "Overrun", 0), "{:#?}", trial.log("worker", 0));
+    let trial = held_up(b'4');
+    assert!(trial.said("worker", "ReceiveOverrun", 0), "{:#?}", trial.log("worker", 0));
+    // It was no reason for anything else.
+    assert_eq!(trial.resets("worker"), []);
+    let beats = trial.frames(1_500).filter(|(_, frame)| frame.id.priority() == Priority::HARD).count();
+    assert!((99..=101).contains(&beats), "{beats} beats in the last second");
+}
