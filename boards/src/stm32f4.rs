@@ -1,7 +1,8 @@
 //! Boards with an STM32F405, F407 or F446: what is the same on all of them. What is not is their [`Wiring`].
 //!
 //! The core runs at 168 MHz, APB1 with the CAN controllers at 42 MHz, the timers behind it at 84 MHz. A transceiver is
-//! needed. PB12 to PB15 are measuring points. All other pins and peripherals are the application's.
+//! needed. Between two tasks the core sleeps; an app with an `#[idle]` task calls [`stay_awake`]. PB12 to PB15 are
+//! measuring points. All other pins and peripherals are the application's.
 //!
 //! An F446 has what is used here of an F405: the same registers at the same addresses with the same meaning, the same
 //! numbers of interrupts (RM0390), and as much RAM.
@@ -154,7 +155,7 @@ impl<W: Wiring> Stm32F4<W> {
         let clocks =
             source.sysclk(Hertz::from_raw(CORE)).pclk1(Hertz::from_raw(APB1)).pclk2(Hertz::from_raw(APB2));
         let Resources { rcc, port, can, timer: tim2 } = resources;
-        stay_visible_asleep();
+        sleep_between_tasks();
         start_oscillator(&rcc, is_clock)?;
         let mut rcc = rcc.freeze(clocks);
         pac::TIM2::enable(&mut rcc);
@@ -194,11 +195,22 @@ impl<W: Wiring> Stm32F4<W> {
     }
 }
 
-/// RTIC sleeps when no task has anything to do. A debug probe that attaches then finds no core unless the clocks stay on
-/// (RM0090, debug support for low-power modes); it reads the logs in memory as before.
-fn stay_visible_asleep() {
-    // SAFETY: a bit that nobody else changes.
-    unsafe { (*pac::DBGMCU::ptr()).cr().modify(|_, w| w.dbg_sleep().set_bit()) };
+/// All that an RTIC app does is done in interrupts: when the last one ends, the core sleeps until the next, where RTIC by
+/// itself turns in circles. A debug probe that attaches then finds no core unless its clock stays on (RM0090, debug support
+/// for low-power modes); it reads the logs in memory as before.
+fn sleep_between_tasks() {
+    // SAFETY: bits that nobody else changes, but for `stay_awake`, before interrupts are enabled as this is.
+    unsafe {
+        (*pac::DBGMCU::ptr()).cr().modify(|_, w| w.dbg_sleep().set_bit());
+        cortex_m::Peripherals::steal().SCB.set_sleeponexit();
+    }
+}
+
+/// The core does not sleep between tasks. For `init`, after the board has started, of an app with an `#[idle]` task: that
+/// would not get on otherwise.
+pub fn stay_awake() {
+    // SAFETY: a bit that only the start of the board changes.
+    unsafe { cortex_m::Peripherals::steal().SCB.clear_sleeponexit() };
 }
 
 /// What a board takes of the chip.

@@ -110,7 +110,7 @@ fn a_node_sleeps_most_of_the_time_on_a_full_bus() {
             measure(&all, "diagnostics", foreign()),
             20.0,
         ),
-        ("brake, which takes every frame", measure(&["sensor", "brake"], "brake", suspension(least)), 35.0),
+        ("brake, which takes every frame", measure(&["sensor", "brake"], "brake", suspension(least)), 20.0),
     ];
     for (name, second, most) in cases {
         println!("{name}: {:.1} % awake, {} frames of the flood", second.awake, second.frames);
