@@ -137,7 +137,7 @@ mod tests {
     #[test]
     fn messages_come_as_often_as_the_rate_says() {
         let mut bucket = Bucket::new(EventRate::sporadic(Duration::from_millis(10)).with_burst(3));
-        let at = |milliseconds| Instant::from_epoch(Duration::from_millis(1000 + milliseconds));
+        let at = |milliseconds: u64| Instant::from_epoch(Duration::from_millis(1000 + milliseconds));
         let passed: Vec<_> =
             [0, 0, 0, 0, 9, 10, 10, 20, 100, 100, 100, 100].map(|ms| bucket.charge(at(ms))).into();
         let expected = [true, true, true, false, false, true, false, true, true, true, true, false];
