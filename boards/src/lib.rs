@@ -27,6 +27,8 @@ pub mod bxcan_status;
 pub mod bxcan_tx;
 #[cfg(target_arch = "arm")]
 pub mod clock;
+#[cfg(target_arch = "arm")]
+mod pll;
 mod registers;
 pub mod reset;
 mod runtime;

@@ -24,7 +24,8 @@ use crate::bxcan_rx::{OtherFrames, UrgentFrames};
 use crate::bxcan_status::{BusStatus, StatusChanges};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::clock;
-use crate::wiring::{Can, Oscillator, PinsOfBoth, Stm32H405, Wiring};
+use crate::pll;
+use crate::wiring::{Can, PinsOfBoth, Stm32H405, Wiring};
 
 /// A board with an 8 MHz crystal and its transceiver at CAN1, such as the Olimex STM32-H405.
 pub type Stm32F405 = Stm32F4<Stm32H405>;
@@ -111,7 +112,7 @@ pub enum BoardError {
     Filters,
     /// The CAN controller does not enter its initialisation mode.
     Controller,
-    /// The crystal does not oscillate.
+    /// The crystal does not oscillate, or the PLL does not follow it.
     Crystal,
 }
 
@@ -149,15 +150,18 @@ impl<W: Wiring> Stm32F4<W> {
         timer: u8,
     ) -> Result<Self, BoardError> {
         let timing = BitTiming::new(APB1, settings.bit_rate).ok_or(BoardError::BitRate)?;
-        let Oscillator { hertz, is_clock } = W::OSCILLATOR;
-        let source = Config::hse(Hertz::from_raw(hertz));
+        let is_clock = W::OSCILLATOR.is_clock;
+        // Why it is told so: see `pll`.
+        let source = Config::hse(Hertz::from_raw(pll::CORE));
         let source = if is_clock { source.bypass_hse_oscillator() } else { source };
-        let clocks =
-            source.sysclk(Hertz::from_raw(CORE)).pclk1(Hertz::from_raw(APB1)).pclk2(Hertz::from_raw(APB2));
+        let clocks = source.pclk1(Hertz::from_raw(APB1)).pclk2(Hertz::from_raw(APB2));
         let Resources { rcc, port, can, timer: tim2 } = resources;
         sleep_between_tasks();
         start_oscillator(&rcc, is_clock)?;
         let mut rcc = rcc.freeze(clocks);
+        if !pll::switch_to(&rcc, const { pll::factors(W::OSCILLATOR.hertz) }) {
+            return Err(BoardError::Crystal);
+        }
         pac::TIM2::enable(&mut rcc);
         pac::TIM2::reset(&mut rcc);
         clock::start(tim2, TIMERS, timer);
@@ -298,7 +302,6 @@ impl<const N: u8> MeasuringPoint<N> {
 /// So often it is asked whether the crystal runs: each takes 8 cycles at most, 100 ms at the 16 MHz after a reset. It
 /// takes 2 ms (STM32F405 datasheet, 5.3.8).
 const CRYSTAL_PATIENCE: u32 = 200_000;
-const CORE: u32 = 168_000_000;
 /// The timers behind APB1 run at twice its frequency (RM0090, 7.2).
 const TIMERS: u32 = 2 * APB1;
 const APB2: u32 = 84_000_000;

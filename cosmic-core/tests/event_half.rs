@@ -3,7 +3,7 @@
 use cosmic_core::Subject;
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
-use cosmic_core::event_half::{Due, EventHalf, Input, Step, receive};
+use cosmic_core::event_half::{self, Due, EventHalf, Input, Step, receive};
 use cosmic_core::event_layer::{
     AnnounceError, Attribute, Channel, Context, Depth, Event, ExceptionKind, Filter, HardAttributes,
     Importance, MessageSubscriber, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
@@ -459,4 +459,46 @@ fn a_host_without_a_clock_for_the_calendar_delivers_at_once() {
     half.cancel_subscription(subscription);
     assert!(half.on_early_frame(&frame(OTHER, 0), at(3)));
     assert_eq!(half.foreign_frames(), 1);
+}
+
+/// A node that has no room for a class at all: what it cannot do it refuses, and the rest works.
+#[test]
+fn a_node_without_places_for_a_class_refuses_it_and_does_the_rest() {
+    let mut half = EventHalf::<0, 4, 3, 4, 0, { 2 + RESERVED }>::new(
+        Some(ME),
+        &CALENDAR,
+        (),
+        HrtBuffers::new(GlobalClock::free_running()),
+    );
+    assert_eq!(half.announce(&hard(0)).unwrap_err(), AnnounceError::TooManySlots);
+    let refused = half.subscribe(&hard(1), Filter::ALL, fifo(1)).unwrap_err();
+    assert_eq!(refused, SubscribeError::Channel(AnnounceError::TooManySlots));
+    assert_eq!(half.announce(&SOFT).unwrap_err(), AnnounceError::TooManyChannels);
+
+    // It hears soft real-time events, and frames of hard real-time are nobody's.
+    let heard = half.subscribe(&SOFT, Filter::ALL, fifo(2)).unwrap();
+    let hard_frame =
+        Frame::new(Id::new(Priority::HARD, OTHER, Etag::new(101).unwrap()), Payload::new(&[1, 2]).unwrap());
+    for frame in [hard_frame, frame(5_000, &[0, 7])] {
+        let input = receive(&frame, at(10), half.hard_mut()).unwrap();
+        half.on_input(&input, at(10));
+    }
+    assert_eq!(half.next(&heard).unwrap().content, 7);
+    assert_eq!(half.next(&heard), None);
+    assert_eq!(half.foreign_frames(), 1);
+    assert_eq!(event_half::outcome(Mailbox::Hard, Outcome::Sent, at(11), half.hard_mut()), None);
+
+    // It publishes in non real-time, to the end.
+    let text = half.announce(&TEXT).unwrap();
+    let due = half.publish(at(20), &text, &Event::new(Payload::new(b"a").unwrap())).unwrap();
+    assert!(matches!(due.command(), Some(Command::Load(Mailbox::NonRealTime, _))));
+    let behind = half.publish(at(21), &text, &Event::new(Payload::new(b"b").unwrap())).unwrap();
+    assert_eq!(behind, Due::NOTHING);
+    half.on_input(&Input::Outcome(Mailbox::NonRealTime, Outcome::Sent), at(200));
+    assert!(matches!(half.poll(at(200)), Step::Command(Command::Load(Mailbox::NonRealTime, _))));
+    half.on_input(&Input::Outcome(Mailbox::NonRealTime, Outcome::Sent), at(400));
+    assert!(matches!(half.poll(at(400)), Step::SleepUntil(_)));
+    assert_eq!(half.etch_counters().sent, 2);
+    half.cancel_subscription(heard);
+    let _ = half.cancel_publication(text);
 }

@@ -1,19 +1,28 @@
 //! The HRT message buffers, which the two halves of a node share.
 
 use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
 
 use cosmic_core::HardAccess;
 
-/// Where they are: part of the node's [`Storage`](crate::Storage).
-pub(crate) struct HardCell<B>(UnsafeCell<B>);
+/// Where they are: part of the node's [`Storage`](crate::Storage). They come there at the start only: initial values of a
+/// static that are not all zero would be kept in flash, with the queues beside them.
+pub(crate) struct HardCell<B>(UnsafeCell<MaybeUninit<B>>);
 
 // SAFETY: after construction the content is reached by `Hard::with` only, inside a critical section, so no
 // two contexts are in it at once. Nor does one context enter it twice: see there.
 unsafe impl<B: Send> Sync for HardCell<B> {}
 
 impl<B> HardCell<B> {
-    pub(crate) const fn new(buffers: B) -> Self {
-        Self(UnsafeCell::new(buffers))
+    /// A place without buffers.
+    pub(crate) const fn new() -> Self {
+        Self(UnsafeCell::new(MaybeUninit::uninit()))
+    }
+
+    /// The buffers, in their place. Once, since it borrows that for good.
+    pub(crate) fn start(&'static mut self, buffers: B) -> &'static Self {
+        self.0.get_mut().write(buffers);
+        self
     }
 }
 
@@ -27,6 +36,7 @@ impl<B> HardCell<B> {
 pub struct Hard<B: 'static>(&'static HardCell<B>);
 
 impl<B> Hard<B> {
+    /// Of buffers that were [started](HardCell::start).
     pub(crate) const fn new(cell: &'static HardCell<B>) -> Self {
         Self(cell)
     }
@@ -35,8 +45,9 @@ impl<B> Hard<B> {
 impl<B: Send> HardAccess<B> for Hard<B> {
     #[inline]
     fn with<R>(&mut self, access: impl FnOnce(&mut B) -> R) -> R {
-        // SAFETY: the critical section keeps all other contexts out. In this one, `access` comes from the core or
+        // SAFETY: the buffers are there, since whoever has a shared reference to the cell got it from `start`. The critical
+        // section keeps all other contexts out. In this one, `access` comes from the core or
         // from this crate: neither holds a second `Hard` in it, and nobody else is handed one.
-        critical_section::with(|_| access(unsafe { &mut *self.0.0.get() }))
+        critical_section::with(|_| access(unsafe { (*self.0.0.get()).assume_init_mut() }))
     }
 }

@@ -25,7 +25,7 @@ pub struct Storage<T: System> {
 impl<T: System> Storage<T> {
     /// Nothing has happened yet.
     pub const fn new() -> Self {
-        Self { queues: Queues::new(), hard: HardCell::new(<T::Capacity as Capacity>::BUFFERS) }
+        Self { queues: Queues::new(), hard: HardCell::new() }
     }
 }
 
@@ -90,7 +90,7 @@ pub fn start_with<T: System>(
     calendar_observer: <T::Observer as Observer>::Calendar,
 ) -> Parts<T> {
     let Storage { queues, hard } = storage;
-    let hard: &'static HardCell<Buffers<T>> = hard;
+    let hard = hard.start(<T::Capacity as Capacity>::BUFFERS);
     // Services whose time never changes do not tell it later.
     Hard::new(hard).with(|buffers| T::Capacity::set_clock(buffers, services.clock()));
     let tx_node = services.tx_node(plan);

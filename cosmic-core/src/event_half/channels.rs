@@ -113,7 +113,7 @@ impl<
     pub fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) {
         let Some(declared) = self.layer.cancel_subscription(subscription) else { return };
         let _ = self.declare(&declared);
-        let Some(etag) = declared.etag.filter(|etag| etag.is_hard()) else { return };
+        let Some(etag) = declared.etag.filter(|etag| SLOTS > 0 && etag.is_hard()) else { return };
         for slot in self.calendar.slots().iter().filter(|slot| slot.etag == etag) {
             let buffer = self.hard.with(|buffers| buffers.find(etag, slot.publisher));
             self.detach(buffer, SUBSCRIBES);
@@ -158,7 +158,7 @@ impl<
         };
         match published {
             Published::Hard(buffer, payload) => {
-                if self.hard.with(|buffers| buffers.publish(buffer, payload)) {
+                if SLOTS > 0 && self.hard.with(|buffers| buffers.publish(buffer, payload)) {
                     self.raise_replaced(tag, now);
                 }
                 Ok(Due::NOTHING)
@@ -317,7 +317,17 @@ impl<
 
     /// Takes part in the slots of a hard real-time channel; nothing for the others.
     fn attach(&mut self, declared: &Declared, role: Role) -> Result<Option<BufferId>, AnnounceError> {
-        let Attributes::Hard(attributes) = declared.attributes else { return Ok(None) };
+        let Attributes::Hard(attributes) = declared.attributes else {
+            let is_soft = matches!(declared.attributes, Attributes::Soft(_));
+            return if SOFT == 0 && is_soft && role.publishes {
+                Err(AnnounceError::TooManyChannels)
+            } else {
+                Ok(None)
+            };
+        };
+        if SLOTS == 0 {
+            return Err(AnnounceError::TooManySlots);
+        }
         if role.publishes && self.own.get().is_none() {
             return Err(AnnounceError::NoTxNode);
         }
@@ -344,7 +354,9 @@ impl<
     }
 
     pub(super) fn detach(&mut self, buffer: Option<BufferId>, role: Role) {
-        if let Some(buffer) = buffer {
+        if SLOTS > 0
+            && let Some(buffer) = buffer
+        {
             let mut detaching = Detaching::new(buffer, role);
             while !self.hard.with(|buffers| buffers.detach_step(&mut detaching)) {}
         }

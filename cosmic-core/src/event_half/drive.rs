@@ -44,7 +44,8 @@ impl<
             // Taken by the caller.
             Input::Frame(_) => {}
             Input::Outcome(mailbox, outcome) => self.on_outcome(mailbox, outcome, at),
-            Input::Notice(buffer) => self.on_notice(buffer, at),
+            Input::Notice(buffer) if SLOTS > 0 => self.on_notice(buffer, at),
+            Input::Notice(_) => {}
             Input::Lost(times) => self.raise_times(None, ExceptionKind::InputLost, times, at),
             Input::Overrun(times) => self.raise_times(None, ExceptionKind::ReceiveOverrun, times, at),
             Input::BusOff => self.raise(None, ExceptionKind::BusOff, at),
@@ -218,11 +219,15 @@ impl<
                 Ok(command)
             }
             Request::Clock(clock) => {
-                self.hard.with(|buffers| buffers.set_clock(clock));
+                if SLOTS > 0 {
+                    self.hard.with(|buffers| buffers.set_clock(clock));
+                }
                 Ok(None)
             }
             Request::Inhibit(inhibited) => {
-                self.hard.with(|buffers| buffers.inhibit(inhibited));
+                if SLOTS > 0 {
+                    self.hard.with(|buffers| buffers.inhibit(inhibited));
+                }
                 if inhibited {
                     self.raise(None, ExceptionKind::CalendarMismatch, now);
                 }
@@ -271,7 +276,9 @@ impl<
         if self.own.get() != tx_node {
             // The frames that wait bear an id that is another node's.
             self.etch.revoke(now, |outgoing| outgoing.tag != SERVICES);
-            self.revoke_hard(tx_node, now);
+            if SLOTS > 0 {
+                self.revoke_hard(tx_node, now);
+            }
         }
         self.own = Own::new(tx_node);
         self.layer.set_tx_node(tx_node);

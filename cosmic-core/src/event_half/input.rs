@@ -37,7 +37,7 @@ pub fn receive<const SLOTS: usize>(
     hard: &mut impl HardAccess<HrtBuffers<SLOTS>>,
 ) -> Option<Input> {
     let is_hard = frame.id.priority() == Priority::HARD;
-    if is_hard && hard.with(|buffers| buffers.on_frame(frame, received_at)) {
+    if SLOTS > 0 && is_hard && hard.with(|buffers| buffers.on_frame(frame, received_at)) {
         return None;
     }
     Some(Input::Frame(*frame))
@@ -53,6 +53,9 @@ pub fn outcome<const SLOTS: usize>(
     hard: &mut impl HardAccess<HrtBuffers<SLOTS>>,
 ) -> Option<Input> {
     if mailbox == Mailbox::Hard {
+        if SLOTS == 0 {
+            return None;
+        }
         hard.with(|buffers| buffers.on_outcome(outcome, at)).map(Input::Notice)
     } else {
         Some(Input::Outcome(mailbox, outcome))

@@ -97,11 +97,14 @@ const EXCEPTIONS: usize = 16;
 ///
 /// | capacity | of |
 /// |---|---|
-/// | `SLOTS` | slots of the calendar in which the node takes part, a power of two |
+/// | `SLOTS` | slots of the calendar in which the node takes part, a power of two; or zero |
 /// | `CHANNELS` | channels that it announces or subscribes to, a power of two |
 /// | `SUBSCRIPTIONS` | subscriptions |
 /// | `EVENTS` | received events that wait, in all queues together |
-/// | `SOFT`, `NRT` | events that wait to be sent |
+/// | `SOFT`, `NRT` | events that wait to be sent; `SOFT` may be zero |
+///
+/// A node without slots, or that sends nothing in soft real-time, has no code for it. It is refused such channels, but may
+/// subscribe to soft ones.
 ///
 /// `S` are the [services](crate::services) that it takes part in, `H` is its [access](HardAccess) to the HRT
 /// message buffers.
@@ -149,6 +152,7 @@ impl<
     /// channels of this TxNode at once, but publishes only from then on. Δt_p is that of the
     /// [calendar](Calendar::priority_step).
     pub const fn new(tx_node: Option<TxNode>, calendar: &'static Calendar, services: S, hard: H) -> Self {
+        const { assert!(SOFT > 0 || !S::SENDS_URGENT, "the clock is sent in soft real-time: it needs places") };
         let map = PriorityMap::of_calendar(calendar);
         let may_send_as = if S::GIVES_TX_NODE { None } else { tx_node };
         Self {

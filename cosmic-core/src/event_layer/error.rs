@@ -5,7 +5,8 @@
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum AnnounceError {
-    /// The node knows as many channels as it has room for: make `CHANNELS` larger.
+    /// The node knows as many channels as it has room for: make `CHANNELS` larger; or it was to publish in soft real-time,
+    /// and `SOFT` is zero.
     TooManyChannels,
     /// The node uses this subject with other attributes, another etag, or another layout of content.
     Contradiction,

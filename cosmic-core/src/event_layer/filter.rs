@@ -162,9 +162,9 @@ impl Context {
         let mut bytes = [0; Payload::MAX_LEN];
         let len = len_of(self.presence);
         bytes[0] = self.presence;
-        bytes.get_mut(1..1 + len).ok_or(NoRoom)?.copy_from_slice(&self.values[..len]);
+        copy(bytes.get_mut(1..1 + len).ok_or(NoRoom)?, &self.values);
         let end = 1 + len + content.len();
-        bytes.get_mut(1 + len..end).ok_or(NoRoom)?.copy_from_slice(content.as_slice());
+        copy(bytes.get_mut(1 + len..end).ok_or(NoRoom)?, content.as_slice());
         Ok(Payload::truncated(bytes, end))
     }
 
@@ -173,9 +173,14 @@ impl Context {
         let (&presence, rest) = payload.as_slice().split_first()?;
         let (values, content) = rest.split_at_checked(len_of(presence))?;
         let mut context = Self { presence, ..Self::EMPTY };
-        context.values.get_mut(..values.len())?.copy_from_slice(values);
+        copy(&mut context.values, values);
         Some((context, Payload::new(content)?))
     }
+}
+
+/// As many bytes as both have.
+fn copy(to: &mut [u8], from: &[u8]) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
 }
 
 fn len_of(presence: u8) -> usize {

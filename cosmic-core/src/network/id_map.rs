@@ -27,7 +27,7 @@ type Bucket = [u32; 2];
 const VACANT: u32 = u32::MAX;
 
 /// A map from etags or identifiers to numbers of `BITS` bits. A key has at most `32 - BITS` bits, not all of
-/// them set. `N`, a power of two, is the number of keys that it is meant for; it has twice as many places.
+/// them set. `N`, a power of two or zero, is the number of keys that it is meant for; it has twice as many places.
 #[derive(Clone, Debug)]
 pub struct IdMap<const BITS: u32, const N: usize> {
     buckets: [Bucket; N],
@@ -41,7 +41,7 @@ pub struct NoPlace;
 impl<const BITS: u32, const N: usize> IdMap<BITS, N> {
     /// The buckets of one half. A map for one key has no right half.
     const HALF: usize = {
-        assert!(N.is_power_of_two(), "the capacity of a map must be a power of two");
+        assert!(N == 0 || N.is_power_of_two(), "the capacity of a map must be a power of two");
         if N > 1 { N / 2 } else { 1 }
     };
 

@@ -100,6 +100,8 @@ pub trait Services {
     /// Whether these services say when the node has its TxNode, by [`Request::TxNode`]. Until then the node sends
     /// nothing but what they ask for, even if its TxNode is fixed: another node may have it.
     const GIVES_TX_NODE: bool = false;
+    /// Whether they ask for [`Request::SendUrgent`], so that the node needs places for soft real-time.
+    const SENDS_URGENT: bool = true;
     /// An event of another node has arrived, on a soft or non real-time channel, whether this node takes part
     /// in it or not.
     fn on_event(&mut self, id: Id, received_at: Instant) {
@@ -149,6 +151,8 @@ pub trait Services {
 
 /// No services: a node with fixed ids whose local time is global time.
 impl Services for () {
+    const SENDS_URGENT: bool = false;
+
     fn on_frame(&mut self, _: &Frame, _: Instant) {}
 
     fn on_sent(&mut self, _: &Frame, _: Instant) {}

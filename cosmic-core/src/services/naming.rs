@@ -88,6 +88,7 @@ impl<const CHANNELS: usize> NamingService<CHANNELS> {
 
 impl<const CHANNELS: usize> Services for NamingService<CHANNELS> {
     const GIVES_TX_NODE: bool = true;
+    const SENDS_URGENT: bool = false;
 
     fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         self.configuration.on_frame(frame, received_at);

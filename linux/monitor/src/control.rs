@@ -4,7 +4,8 @@ use cosmic_core::NodeUid;
 use cosmic_core::can::{Frame, TxNode};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::protocol::{
-    Answer, ConfigurationReply, ControlMessage, Interest, NodeState, NodeStatus, ResetCause, SupplyEtag, SyncMessage,
+    Answer, ConfigurationReply, ControlMessage, Interest, NodeState, NodeStatus, ResetCause, SupplyEtag,
+    SyncMessage,
 };
 use cosmic_core::time::{Duration, Instant};
 

@@ -308,7 +308,6 @@ impl<const N: usize> Dispatcher<N> {
     /// Slots have come or gone, or the clock is another one: starts the new slots at their next occurrence,
     /// and all of them if the clock was set; or says what is to be done before that. O(N).
     #[inline(never)]
-    #[allow(clippy::indexing_slicing, reason = "slots and occurrences are equally many")]
     fn revise(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Result<(), CalendarStep> {
         self.next.is_known = false;
         if buffers.mailbox == HardMailbox::Orphaned {
@@ -325,9 +324,10 @@ impl<const N: usize> Dispatcher<N> {
         self.restart(today, buffers)?;
         self.revision = buffers.revision;
         for (at, slot) in buffers.slots.iter().enumerate() {
+            let Some(place) = self.occurrences.get_mut(at) else { continue };
             match slot {
-                None => self.occurrences[at] = None,
-                Some(slot) if self.occurrences[at].is_some_and(|o| o.attached == slot.attached) => {}
+                None => *place = None,
+                Some(slot) if place.is_some_and(|o| o.attached == slot.attached) => {}
                 Some(slot) => self.start(at, slot, today),
             }
         }

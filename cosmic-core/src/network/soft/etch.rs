@@ -128,6 +128,9 @@ impl EtchCounters {
 /// [`RESERVED`] places each are kept for [`Tag::SERVICES`]: however many events an application publishes,
 /// the clock goes on.
 ///
+/// With `SOFT` zero the node sends nothing in soft real-time, and the code for it is not in its image: each place that
+/// asks for [`HAS_SOFT`](Self::HAS_SOFT) is there for that.
+///
 /// Calls may come in any order: [`submit_soft`](Self::submit_soft) and
 /// [`submit_non_real_time`](Self::submit_non_real_time) from the event layer,
 /// [`on_outcome`](Self::on_outcome) for every `Load` that was commanded. After each of them, and at the
@@ -143,9 +146,13 @@ pub struct Etch<const SOFT: usize, const NRT: usize> {
 }
 
 impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
+    /// Whether it sends soft real-time events.
+    pub const HAS_SOFT: bool = SOFT > 0;
+
     /// A path with empty queues and empty mailboxes.
     pub const fn new(map: PriorityMap) -> Self {
-        const { assert!(SOFT > RESERVED && NRT > RESERVED, "some places are kept for the services") };
+        const { assert!(SOFT == 0 || SOFT > RESERVED, "some places are kept for the services") };
+        const { assert!(NRT > RESERVED, "some places are kept for the services") };
         Self {
             map,
             soft: Lane::new(Mailbox::Soft),
@@ -209,6 +216,9 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         event: Outgoing,
         report: Report,
     ) -> Result<Option<Command>, Full> {
+        if !Self::HAS_SOFT {
+            return Err(self.refuse());
+        }
         let key = event.deadline.since_epoch().as_ticks();
         if self.soft.is_idle() && now < event.expires_at {
             self.soft.load_directly(key, Entry { outgoing: event, report });
@@ -259,24 +269,25 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
 
     /// Returns whether there is room for another urgent frame of the services.
     pub fn has_room_for_urgent(&self) -> bool {
-        self.soft.len() < SOFT
+        Self::HAS_SOFT && self.soft.len() < SOFT
     }
 
-    /// Returns whether there is room for another frame of the services in both queues.
+    /// Returns whether there is room for another frame of the services in both queues, or in the only one.
     pub fn has_room_for_services(&self) -> bool {
-        self.soft.len() < SOFT && self.non_real_time.len() < NRT
+        (!Self::HAS_SOFT || self.soft.len() < SOFT) && self.non_real_time.len() < NRT
     }
 
     /// Gives up events that have not been sent. O(SOFT² + NRT²); at most one command for each mailbox.
     pub fn recall(&mut self, which: impl Fn(&Outgoing) -> bool) -> [Option<Command>; 2] {
-        [self.soft.recall(&which), self.non_real_time.recall(&which)]
+        let soft = if Self::HAS_SOFT { self.soft.recall(&which) } else { None };
+        [soft, self.non_real_time.recall(&which)]
     }
 
     /// The channel of this source has another etag. What has not been sent goes under the new one, except a
     /// frame that is on the wire already. O(SOFT + NRT).
     pub fn rename(&mut self, tag: Tag, etag: Etag) -> Option<Command> {
         // The events of a channel are all of one class.
-        let soft = self.soft.rename(tag, etag);
+        let soft = if Self::HAS_SOFT { self.soft.rename(tag, etag) } else { None };
         let non_real_time = self.non_real_time.rename(tag, etag);
         soft.or(non_real_time)
     }
@@ -284,7 +295,9 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     /// The identifiers of the events that meet the condition belong to somebody else now: they are discarded,
     /// and that is reported. One that is on the wire already is sent. O(SOFT + NRT).
     pub fn revoke(&mut self, now: Instant, which: impl Fn(&Outgoing) -> bool) {
-        self.soft.revoke(now, &which);
+        if Self::HAS_SOFT {
+            self.soft.revoke(now, &which);
+        }
         self.non_real_time.revoke(now, &which);
     }
 
@@ -292,6 +305,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     pub fn on_outcome(&mut self, mailbox: Mailbox, outcome: Outcome, at: Instant) -> Departure {
         let departure = match mailbox {
             Mailbox::Hard => return Departure::default(),
+            Mailbox::Soft if !Self::HAS_SOFT => return Departure::default(),
             Mailbox::Soft => self.soft.on_outcome(outcome, at),
             Mailbox::NonRealTime => self.non_real_time.on_outcome(outcome, at),
         };
@@ -316,14 +330,17 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
                 }
             };
         }
-        if let Some(outgoing) = self.soft.load() {
+        if Self::HAS_SOFT
+            && let Some(outgoing) = self.soft.load()
+        {
             return EtchStep::Command(self.load_soft(now, &outgoing));
         }
         if let Some(outgoing) = self.non_real_time.load() {
             return EtchStep::Command(Command::Load(Mailbox::NonRealTime, outgoing.frame));
         }
-        let promote = self.soft.loaded().is_some() && now >= self.promotion_at;
-        if (promote || self.soft.is_overtaken())
+        let promote = || self.soft.loaded().is_some() && now >= self.promotion_at;
+        if Self::HAS_SOFT
+            && (promote() || self.soft.is_overtaken())
             && let Some(command) = self.soft.withdraw()
         {
             return EtchStep::Command(command);
@@ -337,7 +354,8 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     }
 
     fn attend(&mut self, now: Instant) -> Option<Attended> {
-        if self.soft.needs_attention(now)
+        if Self::HAS_SOFT
+            && self.soft.needs_attention(now)
             && let Some(attended) = self.soft.attend(now)
         {
             return Some(attended);
@@ -346,6 +364,9 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     }
 
     fn next_wakeup(&self) -> Instant {
+        if !Self::HAS_SOFT {
+            return self.non_real_time.next_attention();
+        }
         let promotion = match self.soft.loaded() {
             Some(_) => self.promotion_at,
             None => Instant::FAR_FUTURE,

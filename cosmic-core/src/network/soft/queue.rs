@@ -18,7 +18,7 @@ impl Rank {
     }
 }
 
-/// A queue of at most `N` items, `N` ≤ 255.
+/// A queue of at most `N` items, `N` ≤ 255. One with no places costs nothing.
 #[derive(Clone, Debug)]
 pub struct Queue<T, const N: usize> {
     len: usize,
@@ -32,7 +32,7 @@ impl<T, const N: usize> Queue<T, N> {
     #[allow(clippy::indexing_slicing, reason = "within the length, by the loop")]
     #[expect(clippy::arithmetic_side_effects, reason = "within the length, by the loop")]
     pub const fn new() -> Self {
-        const { assert!(N > 0 && N <= 255, "a queue has 1..=255 places") };
+        const { assert!(N <= 255, "a queue has 255 places at most") };
         let mut ranks = [Rank { key: 0, order: 0, place: 0 }; N];
         let mut place = 0;
         while place < N {
@@ -138,7 +138,7 @@ impl<T, const N: usize> Queue<T, N> {
         while at > 0 {
             let parent = (at - 1) / 2;
             match (ranks.get(at), ranks.get(parent)) {
-                (Some(child), Some(above)) if child.precedes(above) => ranks.swap(at, parent),
+                (Some(child), Some(above)) if child.precedes(above) => exchange(ranks, at, parent),
                 _ => return,
             }
             at = parent;
@@ -157,10 +157,22 @@ impl<T, const N: usize> Queue<T, N> {
                 (None, _) => return,
             };
             match (ranks.get(smaller), ranks.get(at)) {
-                (Some(below), Some(above)) if below.precedes(above) => ranks.swap(at, smaller),
+                (Some(below), Some(above)) if below.precedes(above) => exchange(ranks, at, smaller),
                 _ => return,
             }
             at = smaller;
+        }
+    }
+}
+
+/// As `swap`, whose panic the compiler would have to prove away where it optimises for size, too.
+#[inline]
+fn exchange(ranks: &mut [Rank], one: usize, other: usize) {
+    if let (Some(&first), Some(&second)) = (ranks.get(one), ranks.get(other)) {
+        for (at, rank) in [(one, second), (other, first)] {
+            if let Some(place) = ranks.get_mut(at) {
+                *place = rank;
+            }
         }
     }
 }
