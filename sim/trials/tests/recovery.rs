@@ -64,6 +64,29 @@ fn a_guest_goes_on() {
     off_the_bus("guest", 126);
 }
 
+#[test]
+fn a_master_that_is_unplugged_is_missed_by_nobody_for_long() {
+    let mut trial = Trial::new(&[("master", 0), ("deputy", 0), ("worker", 0), ("guest", 0)]);
+    trial.run_until(1_000);
+    let master = trial.node("master");
+    trial.cluster.power_off(master);
+    trial.run_until(3_000);
+    // The deputy gives the time: no slot but one stays empty, and that is told.
+    let beats = trial.frames(1_000).filter(|(_, frame)| frame.id.priority() == Priority::HARD).count();
+    assert!((198..=201).contains(&beats), "{beats} beats in two seconds");
+    assert!(
+        beats >= 200 || trial.said("worker", "ClockOutOfBound", 1_000),
+        "{:#?}",
+        trial.log("worker", 1_000)
+    );
+    trial.cluster.restart(master);
+    trial.run_until(5_000);
+    assert!(trial.said("master", "started by PowerOn", 3_000));
+    let nodes: BTreeSet<_> = trial.statuses(4_000).map(|(_, status)| status.tx_node).collect();
+    assert_eq!(nodes.len(), 4);
+    assert_eq!(trial.oddities(), Vec::<String>::new());
+}
+
 /// Sends frames of one identifier one behind the other for a while, each with its number.
 struct Burst {
     id: Id,
