@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
 
 use cosmic_bus::{Bus, FaultModel};
 use cosmic_core::can::BitRate;
-use cosmic_linux::link::segment::{Options, SimulatedSegment, serve};
+use cosmic_linux::link::segment::{Options, SimulatedSegment, Socket};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tokio::runtime::{Builder, Runtime};
+use tokio::task::JoinHandle;
 
 use crate::errors::LinkError;
 
@@ -17,7 +17,8 @@ use crate::errors::LinkError;
 #[pyclass(frozen, module = "cosmic_can._native")]
 pub(crate) struct Segment {
     path: PathBuf,
-    runtime: Mutex<Option<Runtime>>,
+    /// `None` when it has been closed.
+    served: Mutex<Option<(Runtime, JoinHandle<()>)>>,
 }
 
 #[pymethods]
@@ -31,25 +32,14 @@ impl Segment {
             Builder::new_multi_thread().worker_threads(1).thread_name("segment").enable_all().build();
         let runtime =
             runtime.map_err(|why| LinkError::new_err(format!("no thread can be started: {why}")))?;
-        let at = path.clone();
-        let served = runtime.spawn(async move {
-            let Err(why) =
-                serve(&at, SimulatedSegment::new(Bus::new(rate, FaultModel::none())), Options::default())
-                    .await;
-            why.to_string()
+        let socket = py.detach(|| runtime.block_on(Socket::bind(&path)));
+        let socket = socket.map_err(|why| LinkError::new_err(why.to_string()))?;
+        let segment = SimulatedSegment::new(Bus::new(rate, FaultModel::none()));
+        let serving = runtime.spawn(async move {
+            // It ends when it is aborted.
+            let _ = socket.serve(segment, Options::default()).await;
         });
-        let begun = Instant::now();
-        while std::os::unix::net::UnixStream::connect(&path).is_err() {
-            if served.is_finished() {
-                let why = runtime.block_on(served).unwrap_or_else(|why| why.to_string());
-                return Err(LinkError::new_err(why));
-            }
-            if begun.elapsed() > PATIENCE {
-                return Err(LinkError::new_err(format!("nothing can be served at {}", path.display())));
-            }
-            py.detach(|| std::thread::sleep(Duration::from_millis(1)));
-        }
-        Ok(Self { path, runtime: Mutex::new(Some(runtime)) })
+        Ok(Self { path, served: Mutex::new(Some((runtime, serving))) })
     }
 
     /// What a node is to connect to.
@@ -58,13 +48,15 @@ impl Segment {
         format!("sim:{}", self.path.display())
     }
 
-    fn close(&self) {
-        if let Some(runtime) = self.runtime.lock().unwrap_or_else(PoisonError::into_inner).take() {
-            runtime.shutdown_background();
-            // The socket is no use without its server.
-            let _ = std::fs::remove_file(&self.path);
-        }
+    fn close(&self, py: Python<'_>) {
+        let served = self.served.lock().unwrap_or_else(PoisonError::into_inner).take();
+        py.detach(|| {
+            if let Some((runtime, serving)) = served {
+                serving.abort();
+                // The file of the socket goes with what serves it.
+                let _ = runtime.block_on(serving);
+                runtime.shutdown_background();
+            }
+        });
     }
 }
-
-const PATIENCE: Duration = Duration::from_secs(10);

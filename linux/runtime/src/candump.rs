@@ -96,6 +96,9 @@ fn stamp(word: &str) -> Option<Duration> {
     Some(Duration::new(seconds, nanoseconds))
 }
 
+/// How a file of pcapng begins, which is another kind of log.
+pub const PCAPNG: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
+
 const ERROR_FRAME: u32 = 1 << 29;
 const BUS_OFF: u32 = 0x40;
 const CONTROLLER: u32 = 0x04;

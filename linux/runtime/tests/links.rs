@@ -121,3 +121,12 @@ async fn a_device_that_is_not_there_is_tried_again() {
     assert!(node.link_error().unwrap().to_string().contains("cannot be opened"));
     assert!(tokio::time::timeout(Duration::from_millis(50), node.connected_or_failed()).await.is_err());
 }
+
+#[tokio::test]
+async fn a_log_of_another_kind_is_refused() {
+    let mut log = tempfile::NamedTempFile::new().unwrap();
+    log.write_all(b"\x0a\x0d\x0d\x0a\x1c\0\0\0").unwrap();
+    let node = node(Candump::new(log.path()));
+    let why = within(node.connected_or_failed()).await.unwrap_err().to_string();
+    assert!(why.contains("it is pcapng") && why.contains("cosmic record"), "{why}");
+}

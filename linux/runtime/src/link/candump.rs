@@ -18,7 +18,7 @@ use tokio::io::{AsyncBufReadExt as _, AsyncReadExt as _, BufReader};
 use tokio::time::Instant;
 
 use super::{Link, LinkError, Port};
-use crate::candump::Entry;
+use crate::candump::{Entry, PCAPNG};
 use crate::tap::What;
 
 /// A log that is replayed once.
@@ -49,9 +49,29 @@ impl Candump {
         LinkError::last(format!("log {}: {what}: {error}", self.path.display()))
     }
 
-    async fn replay(&self, file: File, port: &Port) -> LinkError {
-        let name = self.path.display();
+    /// # Errors
+    /// It cannot be opened, or is no such log.
+    async fn open(&self) -> Result<BufReader<File>, LinkError> {
+        let file = File::open(&self.path).await.map_err(|error| self.failed("cannot be opened", &error))?;
+        // Of a pipe, who writes it may come later.
+        let is_whole = file.metadata().await.is_ok_and(|data| data.is_file());
         let mut reader = BufReader::new(file);
+        if !is_whole {
+            return Ok(reader);
+        }
+        let start = reader.fill_buf().await.map_err(|error| self.failed("cannot be read", &error))?;
+        if start.starts_with(&PCAPNG) {
+            let name = self.path.display();
+            return Err(LinkError::last(format!(
+                "log {name}: it is pcapng, which a node does not replay: write it anew as candump has it (`cosmic record \
+                 {name}.log --link log:{name}`)"
+            )));
+        }
+        Ok(reader)
+    }
+
+    async fn replay(&self, mut reader: BufReader<File>, port: &Port) -> LinkError {
+        let name = self.path.display();
         let mut first = None;
         loop {
             let mut line = Vec::new();
@@ -87,9 +107,9 @@ impl Candump {
 
 impl Link for Candump {
     async fn run(&mut self, port: &Port) -> LinkError {
-        let file = match File::open(&self.path).await {
-            Ok(file) => file,
-            Err(error) => return self.failed("cannot be opened", &error),
+        let log = match self.open().await {
+            Ok(log) => log,
+            Err(error) => return error,
         };
         port.connected();
         let swallow = async {
@@ -102,7 +122,7 @@ impl Link for Candump {
         let ended = {
             let mut swallow = std::pin::pin!(swallow);
             tokio::select! {
-                error = self.replay(file, port) => error,
+                error = self.replay(log, port) => error,
                 () = &mut swallow => LinkError::last("the log has ended"),
             }
         };

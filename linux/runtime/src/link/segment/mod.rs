@@ -10,11 +10,13 @@
 mod bus;
 mod record;
 mod server;
+mod socket;
 mod time;
 
 pub use bus::{Member, MemberEvent, Segment, SimulatedSegment};
 pub use record::{Record, VERSION};
-pub use server::{Options, ServeError, serve};
+pub use server::{Options, serve};
+pub use socket::{ServeError, Socket};
 
 use std::path::PathBuf;
 

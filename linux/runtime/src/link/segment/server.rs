@@ -1,20 +1,21 @@
 //! The server of a segment.
 
 use std::collections::HashMap;
-use std::fmt;
-use std::path::{Path, PathBuf};
+use std::convert::Infallible;
+use std::path::Path;
 
 use cosmic_bus::{EventKind, VirtualInstant};
 use cosmic_core::can::Mailbox;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::UnixStream;
 use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
-use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
 use super::bus::{Member, MemberEvent, Segment, is_bus_off};
 use super::record::{Record, VERSION};
+use super::socket::{ServeError, Socket};
 use super::time::Alarm;
 
 /// How a segment is served.
@@ -23,21 +24,6 @@ pub struct Options {
     /// Time passes as tokio's clock does, which tests can stop. Otherwise as that of the kernel, which is finer.
     pub tokio_time: bool,
 }
-
-/// Why a segment cannot be served.
-#[derive(Debug)]
-pub struct ServeError {
-    path: PathBuf,
-    why: String,
-}
-
-impl fmt::Display for ServeError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "segment at {}: {}", self.path.display(), self.why)
-    }
-}
-
-impl std::error::Error for ServeError {}
 
 /// What a connection wants. The number of the member is used again, that of the connection is not.
 struct Wish {
@@ -64,8 +50,7 @@ struct Server<S> {
     events: Vec<MemberEvent>,
 }
 
-/// Serves a segment at a socket, for ever. What was left there by a server that is gone is replaced; a server that
-/// still answers is not.
+/// Serves a segment at a socket there, for ever: [`Socket::bind`] and [`Socket::serve`].
 ///
 /// # Errors
 /// [`ServeError`]: somebody else serves there, or the socket cannot be made.
@@ -73,45 +58,36 @@ pub async fn serve(
     path: impl AsRef<Path>,
     segment: impl Segment,
     options: Options,
-) -> Result<std::convert::Infallible, ServeError> {
-    let path = path.as_ref();
-    let failed = |why: String| ServeError { path: path.to_owned(), why };
-    let listener = bind(path).await.map_err(failed)?;
-    let alarm = Alarm::new(options.tokio_time).map_err(|error| failed(format!("no timer: {error}")))?;
-    let (wishes, mut wished) = mpsc::channel(WISHES);
-    let (clients, events) = (HashMap::new(), Vec::new());
-    let mut server = Server { segment, start: Instant::now(), clients, connections: 0, wishes, events };
-    loop {
-        server.advance();
-        let next = server.segment.next_event().map(|at| server.instant(at));
-        tokio::select! {
-            biased;
-            Some(wish) = wished.recv() => server.grant(wish),
-            accepted = listener.accept() => match accepted {
-                Ok((stream, _)) => server.accept(stream),
-                // Too many files are open, for example: later there may be fewer.
-                Err(_) => tokio::time::sleep(std::time::Duration::from_millis(100)).await,
-            },
-            () = alarm.wait_until(next) => {}
-        }
-    }
+) -> Result<Infallible, ServeError> {
+    Socket::bind(path.as_ref()).await?.serve(segment, options).await
 }
 
-async fn bind(path: &Path) -> Result<UnixListener, String> {
-    if std::fs::symlink_metadata(path).is_ok() {
-        if UnixStream::connect(path).await.is_ok() {
-            return Err("another server answers there: stop it, or choose another path".to_owned());
+impl Socket {
+    /// Serves a segment, for ever.
+    ///
+    /// # Errors
+    /// There is no timer.
+    pub async fn serve(self, segment: impl Segment, options: Options) -> Result<Infallible, ServeError> {
+        let alarm =
+            Alarm::new(options.tokio_time).map_err(|error| self.failed(format!("no timer: {error}")))?;
+        let (wishes, mut wished) = mpsc::channel(WISHES);
+        let (clients, events) = (HashMap::new(), Vec::new());
+        let mut server = Server { segment, start: Instant::now(), clients, connections: 0, wishes, events };
+        loop {
+            server.advance();
+            let next = server.segment.next_event().map(|at| server.instant(at));
+            tokio::select! {
+                biased;
+                Some(wish) = wished.recv() => server.grant(wish),
+                accepted = self.listener.accept() => match accepted {
+                    Ok((stream, _)) => server.accept(stream),
+                    // Too many files are open, for example: later there may be fewer.
+                    Err(_) => tokio::time::sleep(std::time::Duration::from_millis(100)).await,
+                },
+                () = alarm.wait_until(next) => {}
+            }
         }
-        let is_socket = {
-            use std::os::unix::fs::FileTypeExt as _;
-            std::fs::symlink_metadata(path).is_ok_and(|data| data.file_type().is_socket())
-        };
-        if !is_socket {
-            return Err("there is a file that is no socket: choose another path".to_owned());
-        }
-        std::fs::remove_file(path).map_err(|error| format!("the old socket cannot be removed: {error}"))?;
     }
-    UnixListener::bind(path).map_err(|error| format!("the socket cannot be made: {error}"))
 }
 
 impl<S: Segment> Server<S> {
