@@ -6,10 +6,11 @@ use std::str::FromStr;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
-use cosmic_core::can::{BitRate, TxNode};
+use cosmic_core::can::{BitRate, Etag, TxNode};
 use cosmic_core::time::Duration;
 use cosmic_core::{NodeUid, Subject};
 use cosmic_linux::link::LinkAddress;
+use cosmic_monitor::hexadecimal;
 use cosmic_plan::units;
 
 /// Watch, record and examine a COSMIC segment.
@@ -134,7 +135,8 @@ pub(crate) struct Echo {
 /// Who this program is when it takes part.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Identity {
-    /// The UID as which this program takes part, 16 hexadecimal digits; one is drawn if none is given.
+    /// The UID as which this program takes part, 16 hexadecimal digits; one is drawn if none is given. One of the cluster
+    /// file brings its TxNode.
     #[arg(long, value_parser = uid)]
     pub(crate) uid: Option<NodeUid>,
     /// A fixed TxNode, where no broker gives one: 0 to 126.
@@ -147,8 +149,11 @@ pub(crate) struct Identity {
 
 #[derive(Args, Debug)]
 pub(crate) struct Subscribe {
-    /// The channel, by name, subject or etag.
+    /// The channel, by its name in the cluster file or by its subject.
     pub(crate) channel: String,
+    /// Its etag, where neither a cluster file nor a broker gives one: 1024 to 16383.
+    #[arg(long, value_parser = etag)]
+    pub(crate) etag: Option<Etag>,
     /// Ends after so many events.
     #[arg(long, short = 'n')]
     pub(crate) count: Option<u64>,
@@ -175,6 +180,9 @@ pub(crate) struct Publish {
     /// The content: field=value for each field, or up to eight bytes in hexadecimal digits.
     #[arg(value_name = "CONTENT")]
     pub(crate) content: Vec<String>,
+    /// The etag, where neither a cluster file nor a broker gives one: 1024 to 16383.
+    #[arg(long, value_parser = etag)]
+    pub(crate) etag: Option<Etag>,
     /// The class, where no cluster file says it.
     #[arg(long, value_enum, default_value = "srt")]
     pub(crate) class: Class,
@@ -288,6 +296,11 @@ fn tx_node(text: &str) -> Result<TxNode, String> {
     node.ok_or_else(|| "write a number from 0 to 126".to_owned())
 }
 
+fn etag(text: &str) -> Result<Etag, String> {
+    let etag = text.parse().ok().and_then(Etag::new).filter(|etag| !etag.is_reserved() && !etag.is_hard());
+    etag.ok_or_else(|| "write a number from 1024 to 16383".to_owned())
+}
+
 fn uid(text: &str) -> Result<NodeUid, String> {
     hexadecimal(text)
         .and_then(NodeUid::new)
@@ -299,14 +312,10 @@ fn speed(text: &str) -> Result<f64, String> {
     speed.ok_or_else(|| "write a number: 1, 0.5, or 0 for as fast as it goes".to_owned())
 }
 
-fn hexadecimal(text: &str) -> Option<u64> {
-    u64::from_str_radix(text.strip_prefix("0x").unwrap_or(text), 16).ok()
-}
-
 /// A subject as a person writes it.
 pub(crate) fn subject(text: &str) -> Option<Subject> {
-    let digits = text.strip_prefix("0x").or(Some(text).filter(|text| text.len() == 16))?;
-    hexadecimal(digits).and_then(Subject::new)
+    let is_subject = text.starts_with("0x") || text.len() == 16;
+    hexadecimal(text).filter(|_| is_subject).and_then(Subject::new)
 }
 
 #[cfg(test)]
@@ -341,5 +350,6 @@ mod tests {
         );
         assert_eq!(subject("0x2A"), Subject::new(0x2A));
         assert_eq!(subject("42"), None, "that is an etag");
+        assert_eq!((subject("0x+5"), subject("0x0x5"), uid("+5").ok()), (None, None, None));
     }
 }

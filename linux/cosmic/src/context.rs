@@ -5,6 +5,7 @@ use std::time::Duration;
 use cosmic_core::can::{BitRate, Etag};
 use cosmic_core::time::Instant;
 use cosmic_linux::link::LinkAddress;
+use cosmic_log::learn_bindings;
 use cosmic_monitor::{Monitor, SegmentPlan};
 
 use crate::arguments::Common;
@@ -47,6 +48,15 @@ impl Context {
             Some(plan) => Monitor::with_plan(plan.clone(), now),
             None => Monitor::new(self.common.bit_rate, now),
         }
+    }
+
+    /// The same; of a log it knows already what etags stand for.
+    pub(crate) fn informed_monitor(&self, now: Instant) -> Monitor {
+        let mut monitor = self.monitor(now);
+        if let Some(LinkAddress::Log(file)) = &self.common.link {
+            learn_bindings(&mut monitor, file);
+        }
+        monitor
     }
 
     /// The channels that were named.

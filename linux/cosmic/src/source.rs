@@ -6,8 +6,7 @@ use cosmic_core::can::BitRate;
 use cosmic_core::time::{self, Instant};
 use cosmic_linux::link::{AnyLink, LinkAddress};
 use cosmic_linux::{Tap, Tapped, What};
-use cosmic_log::{Entry, Reader};
-use cosmic_monitor::Monitor;
+use cosmic_log::{Entry, LogTime, Reader};
 
 use crate::failure::Failure;
 
@@ -33,9 +32,7 @@ pub(crate) enum Source {
     },
     Log {
         reader: Reader,
-        /// The stamp of the first entry.
-        began: Option<Duration>,
-        latest: Instant,
+        time: LogTime,
         /// Entries come at the distances that they had.
         pace: Option<tokio::time::Instant>,
         /// An entry whose time has not come.
@@ -48,15 +45,8 @@ impl Source {
     /// Opens a link or a log.
     pub(crate) fn open(choice: &LinkAddress, bit_rate: BitRate) -> Result<Self, Failure> {
         if let LinkAddress::Log(file) = choice {
-            let (began, waiting, pace, has_ended) = (None, None, None, false);
-            return Ok(Self::Log {
-                reader: Reader::open(file)?,
-                began,
-                latest: Instant::EPOCH,
-                pace,
-                waiting,
-                has_ended,
-            });
+            let (reader, time) = (Reader::open(file)?, LogTime::new());
+            return Ok(Self::Log { reader, time, pace: None, waiting: None, has_ended: false });
         }
         let tap = Tap::start(link(choice, bit_rate)?);
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -66,8 +56,7 @@ impl Source {
     /// Ends a live source after this span, from when it connects; a log is read to its end.
     pub(crate) fn for_span(mut self, span: Option<time::Duration>) -> Self {
         if let Self::Live { until, .. } = &mut self {
-            let span = span.map(|span| Duration::from_nanos(span.as_ticks()));
-            *until = span.and_then(|span| tokio::time::Instant::now().checked_add(span));
+            *until = end_of(span);
         }
         self
     }
@@ -125,26 +114,20 @@ impl Source {
     }
 
     async fn next_of_log(&mut self) -> Option<Result<Tapped, Failure>> {
-        let Self::Log { reader, began, latest, pace, waiting, has_ended } = self else { return None };
+        let Self::Log { reader, time, pace, waiting, has_ended } = self else { return None };
         if waiting.is_none() {
             let Some(entry) = reader.next() else {
                 *has_ended = true;
                 return None;
             };
             match entry {
-                Ok(Entry { stamp, what }) => {
-                    let since = stamp.saturating_sub(*began.get_or_insert(stamp));
-                    let ticks = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX / 2);
-                    let at = Instant::from_epoch(time::Duration::from_ticks(ticks)).max(*latest);
-                    *latest = at;
-                    *waiting = Some(Tapped { at, what });
-                }
+                Ok(Entry { stamp, what }) => *waiting = Some(Tapped { at: time.at(stamp), what }),
                 Err(error) => return Some(Err(error.into())),
             }
         }
         if let (Some(start), Some(tapped)) = (*pace, waiting.as_ref()) {
             // When this wait is cancelled, the entry still waits.
-            tokio::time::sleep_until(start + Duration::from_nanos(tapped.at.since_epoch().as_ticks())).await;
+            tokio::time::sleep_until(start + std_span(tapped.at.since_epoch())).await;
         }
         waiting.take().map(Ok)
     }
@@ -153,9 +136,9 @@ impl Source {
     pub(crate) fn wall(&self, at: Instant) -> Duration {
         let began = match self {
             Self::Live { began, .. } => *began,
-            Self::Log { began, .. } => began.unwrap_or_default(),
+            Self::Log { time, .. } => time.began().unwrap_or_default(),
         };
-        began + Duration::from_nanos(at.since_epoch().as_ticks())
+        began + std_span(at.since_epoch())
     }
 
     /// The present instant of this source.
@@ -163,13 +146,23 @@ impl Source {
         match self {
             Self::Live { tap, .. } => tap.now(),
             // Behind the end of a log no time passes.
-            Self::Log { latest, pace: None, .. } | Self::Log { latest, has_ended: true, .. } => *latest,
-            Self::Log { latest, pace: Some(start), .. } => {
+            Self::Log { time, pace: None, .. } | Self::Log { time, has_ended: true, .. } => time.latest(),
+            Self::Log { time, pace: Some(start), .. } => {
                 let ticks = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX / 2);
-                Instant::from_epoch(time::Duration::from_ticks(ticks)).max(*latest)
+                Instant::from_epoch(time::Duration::from_ticks(ticks)).max(time.latest())
             }
         }
     }
+}
+
+/// A span as the host counts it.
+pub(crate) fn std_span(span: time::Duration) -> Duration {
+    Duration::from_nanos(span.as_ticks())
+}
+
+/// When a span that begins now is over; `None`: never.
+pub(crate) fn end_of(span: Option<time::Duration>) -> Option<tokio::time::Instant> {
+    tokio::time::Instant::now().checked_add(std_span(span?))
 }
 
 /// Sleeps until then, or for ever.
@@ -177,18 +170,5 @@ pub(crate) async fn sleep_until(at: Option<tokio::time::Instant>) {
     match at {
         Some(at) => tokio::time::sleep_until(at).await,
         None => std::future::pending().await,
-    }
-}
-
-/// Hands what happened to a monitor. Says on standard error what a person should know of the link.
-pub(crate) fn feed(monitor: &mut Monitor, tapped: &Tapped) {
-    let at = tapped.at;
-    match &tapped.what {
-        What::Frame(frame) => monitor.on_frame(frame, at),
-        What::Foreign(frame) => monitor.on_foreign(frame.as_ref(), at),
-        What::Lost(frames) => monitor.on_lost(*frames, at),
-        What::Errors(errors) => monitor.on_errors(*errors, at),
-        What::BusOff => monitor.on_bus_off(at),
-        What::Connected | What::Disconnected { .. } | What::Malformed => {}
     }
 }

@@ -53,6 +53,24 @@ fn a_broker_a_publisher_and_a_subscriber_find_each_other() {
     assert!(nodes.as_array().unwrap().iter().any(|node| node["is_broker"] == true), "{nodes}");
 }
 
+/// As in docs/c.md.
+#[test]
+fn an_etag_is_fixed_where_nobody_gives_one() {
+    let segment = Segment::start();
+    let link = segment.link();
+    let identity = |node| ["--tx-node", node, "--etag", "5000", "-l", &link, "--patience", "50s"];
+    let subscriber = Running::start(&[&["sub", "0x2A", "-n", "1", "--json"][..], &identity("8")].concat());
+    let words = ["pub", "0x2A", "0866", "--every", "20ms", "-n", "1000000"];
+    let _publisher = Running::start(&[&words[..], &identity("9")].concat());
+    let got = subscriber.wait();
+    assert!(got.status.success(), "{}", text(&got.stderr));
+    let event: serde_json::Value = serde_json::from_slice(&got.stdout).unwrap();
+    assert_eq!((&event["data"], &event["publisher"]), (&"0866".into(), &9.into()));
+    let refused = run(&["pub", "gripper", "00", "--etag", "5000", "-l", &link, "-c", CLUSTER]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(text(&refused.stderr).contains("leave out --etag"), "{}", text(&refused.stderr));
+}
+
 #[test]
 fn fields_of_a_planned_channel_go_and_come_in_words() {
     let segment = Segment::start();

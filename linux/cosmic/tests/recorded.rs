@@ -9,7 +9,7 @@ use cosmic_core::Subject;
 use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::protocol::{Answer, SupplyEtag};
 
-use common::{CLUSTER, cosmic, json, printed, run, text};
+use common::{CLUSTER, Running, cosmic, json, printed, run, text};
 
 const ROVER: &str = "log:docs/tasks/rover.log";
 const LATE: &str = "log:docs/tasks/late.log";
@@ -97,9 +97,26 @@ fn events_before_their_binding_are_decoded_too() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("brokered.log");
     std::fs::write(&file, log).unwrap();
-    let lines = printed(&["decode", &file.display().to_string(), "-c", CLUSTER]);
-    let events: Vec<_> = lines.lines().filter(|line| line.contains("attitude roll=1.56 °")).collect();
-    assert_eq!(events.len(), 2, "{lines}");
+    let file = file.display().to_string();
+    let lines = printed(&["decode", &file, "-c", CLUSTER]);
+    let events = lines.lines().filter(|line| line.contains("attitude roll=1.56 °"));
+    assert_eq!(events.count(), 2, "{lines}");
+    let lines = printed(&["echo", "0xB0A01C0000000004", "-l", &format!("log:{file}")]);
+    assert_eq!(lines.lines().count(), 2, "{lines}");
+}
+
+/// Nothing of a pipe is read before it is shown.
+#[test]
+fn a_log_is_read_from_a_pipe_with_a_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let reader = Running::start(&["decode", pipe.to_str().unwrap(), "-c", CLUSTER]);
+    let log = std::fs::read(common::root().join("docs/tasks/rover.log")).unwrap();
+    std::fs::write(&pipe, log).unwrap();
+    let output = reader.wait();
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert_eq!(text(&output.stdout), printed(&["decode", "docs/tasks/rover.log", "-c", CLUSTER]));
 }
 
 #[test]

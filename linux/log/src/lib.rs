@@ -1,11 +1,14 @@
 //! Logs: what was recorded of a segment, as candump writes it or as pcapng.
 //!
 //! A [`Reader`] finds out by the first bytes which of them it is; a [`Writer`] goes by the name of the file. What is read
-//! takes bounded memory, whatever the file holds.
+//! takes bounded memory, whatever the file holds. A [`Heard`] log is one that a monitor explains.
 
 mod candump;
-pub use cosmic_linux::candump::bytes_of;
+mod heard;
 mod pcapng;
+
+pub use cosmic_linux::candump::bytes_of;
+pub use heard::{Heard, LogTime, feed, learn_bindings};
 
 use std::fmt;
 use std::fs::File;
@@ -76,7 +79,7 @@ impl Reader {
         let mut source = BufReader::with_capacity(1 << 16, source);
         let start =
             source.fill_buf().map_err(|error| LogError::new(format!("{name} cannot be read: {error}")))?;
-        if start.starts_with(&pcapng::MAGIC) {
+        if start.starts_with(&cosmic_linux::candump::PCAPNG) {
             return pcapng::Reader::new(Box::new(source), name)
                 .map(|reader| Self(ReaderKind::Pcapng(Box::new(reader))));
         }

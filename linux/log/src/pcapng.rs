@@ -16,9 +16,6 @@ use pcap_parser::{Block, Linktype, PcapBlockOwned, PcapError, PcapNGReader, ToVe
 
 use super::{Entry, LogError};
 
-/// How every pcapng file begins.
-pub(super) const MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
-
 pub(crate) struct Reader {
     reader: PcapNGReader<Box<dyn Read + Send>>,
     name: String,

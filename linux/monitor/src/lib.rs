@@ -50,6 +50,7 @@ mod channels;
 mod clock;
 mod control;
 mod decode;
+mod digits;
 mod doctor;
 mod feed;
 mod latency;
@@ -65,6 +66,7 @@ mod view;
 
 pub use channels::{MOST_CHANNELS, MOST_PARTICIPANTS};
 pub use decode::{Decoded, DecodedField, Meaning};
+pub use digits::hexadecimal;
 pub use doctor::{Finding, Rule, Severity};
 pub use feed::{Explanation, MOST_NOTICES, Notice, NoticeKind};
 pub use monitor::Monitor;

@@ -12,6 +12,7 @@ use crate::brokers::Brokers;
 use crate::channels::Channels;
 use crate::clock::ListenerClock;
 use crate::decode::{self, Decoded, DecodedField, Meaning};
+use crate::digits::hexadecimal;
 use crate::feed::{Feed, News, Notice, NoticeKind};
 use crate::load::Load;
 use crate::messages::{Messages, Whole};
@@ -259,8 +260,8 @@ impl Monitor {
             channel.etag.or_else(|| self.channels.etag_of(Subject::new(channel.subject)?))
         };
         let by_subject = || {
-            let digits = name.strip_prefix("0x").unwrap_or(name);
-            let subject = Subject::new(u64::from_str_radix(digits, 16).ok().filter(|_| digits.len() > 5)?)?;
+            let is_long = name.strip_prefix("0x").unwrap_or(name).len() > 5;
+            let subject = Subject::new(hexadecimal(name).filter(|_| is_long)?)?;
             let planned =
                 self.plan.as_ref().and_then(|plan| plan.channel(plan.channel_of_subject(subject)?).etag);
             planned.or_else(|| self.channels.etag_of(subject))

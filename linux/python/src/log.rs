@@ -1,12 +1,12 @@
 //! Logs as columns.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use cosmic_core::Subject;
 use cosmic_core::can::{BitRate, Frame};
-use cosmic_core::time::{Duration, Instant};
-use cosmic_linux::What;
-use cosmic_log::{Entry, Reader};
+use cosmic_core::time::Instant;
+use cosmic_linux::{Tapped, What};
+use cosmic_log::{Heard, LogError};
 use cosmic_monitor::{Decoded, Monitor, SegmentPlan};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -37,20 +37,15 @@ pub(crate) fn read_log<'py>(
 }
 
 /// The frames of a log, with what a listener knows of each when it comes.
-struct Log {
-    reader: Reader,
-    monitor: Monitor,
-    began: Option<std::time::Duration>,
-}
+struct Log(Heard);
 
 impl Log {
-    fn open(path: &std::path::Path, plan: Option<&SegmentPlan>) -> PyResult<Self> {
-        let reader = Reader::open(path).map_err(|why| PyValueError::new_err(why.to_string()))?;
+    fn open(path: &Path, plan: Option<&SegmentPlan>) -> PyResult<Self> {
         let monitor = match plan {
             Some(plan) => Monitor::with_plan(plan.clone(), Instant::EPOCH),
             None => Monitor::new(BitRate::MAX, Instant::EPOCH),
         };
-        Ok(Self { reader, monitor, began: None })
+        Heard::open(path, monitor).map(Self).map_err(refused)
     }
 }
 
@@ -59,18 +54,19 @@ impl Iterator for Log {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            let Entry { stamp, what } = match self.reader.next()? {
-                Ok(entry) => entry,
-                Err(why) => return Some(Err(PyValueError::new_err(why.to_string()))),
-            };
-            let since = stamp.saturating_sub(*self.began.get_or_insert(stamp));
-            let ticks = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX / 2);
-            if let What::Frame(frame) = what {
-                self.monitor.on_frame(&frame, Instant::from_epoch(Duration::from_ticks(ticks)));
-                return Some(Ok((stamp.as_secs_f64(), frame, self.monitor.decode(&frame))));
+            match self.0.next()? {
+                Ok((stamp, Tapped { what: What::Frame(frame), .. })) => {
+                    return Some(Ok((stamp.as_secs_f64(), frame, self.0.monitor().decode(&frame))));
+                }
+                Ok(_) => {}
+                Err(why) => return Some(Err(refused(why))),
             }
         }
     }
+}
+
+fn refused(why: LogError) -> PyErr {
+    PyValueError::new_err(why.to_string())
 }
 
 /// A row for each frame.

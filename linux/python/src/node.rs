@@ -1,6 +1,6 @@
 //! A node.
 
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::Arc;
 
 use cosmic_core::can::{BitRate, Etag, TxNode};
 use cosmic_core::event_layer::{Depth, ExceptionKind, Importance};
@@ -17,18 +17,12 @@ use crate::values;
 /// A node on a segment.
 #[pyclass(frozen, module = "cosmic_can._native")]
 pub(crate) struct Node {
-    running: Mutex<Running>,
-}
-
-struct Running {
-    session: Option<Arc<Session>>,
-    subscriptions: Vec<Weak<cosmic_session::Subscription>>,
+    session: Arc<Session>,
 }
 
 impl Node {
-    fn session(&self) -> PyResult<Arc<Session>> {
-        let running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
-        running.session.clone().ok_or_else(|| raised(&Failure::Closed))
+    fn session(&self) -> PyResult<&Arc<Session>> {
+        if self.session.is_closed() { Err(raised(&Failure::Closed)) } else { Ok(&self.session) }
     }
 }
 
@@ -123,8 +117,7 @@ impl Node {
             })
             .transpose()?;
         let session = py.detach(|| Session::open(&settings)).map_err(|why| raised(&why))?;
-        let running = Running { session: Some(Arc::new(session)), subscriptions: Vec::new() };
-        Ok(Self { running: Mutex::new(running) })
+        Ok(Self { session: Arc::new(session) })
     }
 
     /// The names of the channels in the cluster's file.
@@ -147,13 +140,13 @@ impl Node {
 
     fn announce(&self, py: Python<'_>, channel: &Bound<'_, PyAny>, quality: GivenQuality) -> PyResult<()> {
         let session = self.session()?;
-        let (subject, quality) = (subject_of(&session, channel)?, quality.quality()?);
+        let (subject, quality) = (subject_of(session, channel)?, quality.quality()?);
         py.detach(|| session.announce(subject, quality.as_ref())).map_err(|why| raised(&why))
     }
 
     fn withdraw(&self, channel: &Bound<'_, PyAny>) -> PyResult<bool> {
         let session = self.session()?;
-        Ok(session.withdraw(subject_of(&session, channel)?))
+        Ok(session.withdraw(subject_of(session, channel)?))
     }
 
     #[pyo3(signature = (channel, content, deadline=None, validity=None))]
@@ -166,7 +159,7 @@ impl Node {
         validity: Option<f64>,
     ) -> PyResult<()> {
         let session = self.session()?;
-        let subject = subject_of(&session, channel)?;
+        let subject = subject_of(session, channel)?;
         let plan = session.plan();
         let layout = plan.and_then(|plan| {
             let at = plan.channel_of_subject(subject)?;
@@ -188,20 +181,17 @@ impl Node {
         quality: GivenQuality,
     ) -> PyResult<Subscription> {
         let session = self.session()?;
-        let (subject, quality) = (subject_of(&session, channel)?, quality.quality()?);
+        let (subject, quality) = (subject_of(session, channel)?, quality.quality()?);
         let queue = Depth::new(depth).map_or(Queue::Latest, Queue::InOrder);
         let subscription = py.detach(|| session.subscribe(subject, quality.as_ref(), queue));
-        let subscription = Arc::new(subscription.map_err(|why| raised(&why))?);
-        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
-        running.subscriptions.retain(|subscription| subscription.strong_count() > 0);
-        running.subscriptions.push(Arc::downgrade(&subscription));
-        Ok(Subscription { session, subscription, subject })
+        let subscription = subscription.map_err(|why| raised(&why))?;
+        Ok(Subscription { session: Arc::clone(session), subscription, subject })
     }
 
     /// What happened on a channel at this node: nothing if it does not use it.
     fn counters<'py>(&self, py: Python<'py>, channel: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
         let session = self.session()?;
-        let counters = session.counters(subject_of(&session, channel)?).unwrap_or_default();
+        let counters = session.counters(subject_of(session, channel)?).unwrap_or_default();
         let dict = PyDict::new(py);
         for (name, count) in [
             ("published", counters.published),
@@ -232,13 +222,6 @@ impl Node {
     }
 
     fn close(&self, py: Python<'_>) {
-        let (session, subscriptions) = {
-            let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
-            (running.session.take(), std::mem::take(&mut running.subscriptions))
-        };
-        for subscription in subscriptions.iter().filter_map(Weak::upgrade) {
-            subscription.close();
-        }
-        py.detach(|| drop(session));
+        py.detach(|| self.session.close());
     }
 }

@@ -57,6 +57,17 @@ def test_malformed_events_have_no_values(tmp_path: Path) -> None:
     assert columns["mode"] == [None, "stop"] and columns["speed"] == [None, 0.0]
 
 
+def test_events_before_their_binding_are_known(tmp_path: Path) -> None:
+    log = tmp_path / "a.log"
+    event = "02810400#9C004E004A1F19"
+    # For node 4 the broker binds the subject of `attitude` to etag 1024.
+    binding = ["1F5FC004#04000400B0A01C00", "1F5FC004#0401040000000004"]
+    frames = [event, *binding, event]
+    log.write_text("".join(f"({number}.0) c {frame}\n" for number, frame in enumerate(frames, 1)))
+    columns = cosmic_can.read_log(log, cluster=CLUSTER, channel="attitude")
+    assert columns["time"] == [1.0, 4.0] and columns["roll"] == [1.56, 1.56]
+
+
 def block(kind: int, body: bytes) -> bytes:
     body += bytes(-len(body) % 4)
     return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)

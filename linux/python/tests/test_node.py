@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
 import select
+import socket
 import threading
 import time
 from pathlib import Path
@@ -211,6 +214,72 @@ def test_what_cannot_be_opened(tmp_path: Path) -> None:
             cosmic_can.open("sim:/nowhere", **arguments)
     with pytest.raises(cosmic_can.LinkError):
         cosmic_can.Segment(tmp_path / "no/folder")
+
+
+def test_a_closed_node_leaves_the_segment_though_a_subscription_lives(segment: cosmic_can.Segment) -> None:
+    def sockets() -> int:
+        count = 0
+        for descriptor in os.listdir("/proc/self/fd"):
+            with contextlib.suppress(FileNotFoundError):
+                count += os.readlink(f"/proc/self/fd/{descriptor}").startswith("socket:")
+        return count
+
+    before = sockets()
+    node = cosmic_can.open(segment.link, tx_node=7, patience=PATIENCE)
+    heats = node.subscribe(0x2A, etag=5000)
+    assert sockets() > before
+    node.close()
+    for _ in range(int(PATIENCE / 0.01)):
+        if sockets() == before:
+            break
+        time.sleep(0.01)
+    assert sockets() == before
+    with pytest.raises(cosmic_can.ClosedError):
+        heats.get(0)
+    for what in (lambda: node.channels, lambda: node.tx_node, lambda: node.publish(0x2A, b"")):
+        with pytest.raises(cosmic_can.ClosedError):
+            what()
+
+
+def test_who_subscribes_while_the_node_is_closed_is_told(segment: cosmic_can.Segment) -> None:
+    # No broker gives it its TxNode, so it waits.
+    node = cosmic_can.open(segment.link, patience=10 * PATIENCE)
+    errors: list[BaseException] = []
+
+    def subscribe() -> None:
+        try:
+            node.subscribe(0x2A)
+        except cosmic_can.ClosedError as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=subscribe)
+    thread.start()
+    time.sleep(0.05)
+    node.close()
+    thread.join(PATIENCE)
+    assert not thread.is_alive() and len(errors) == 1
+
+
+def test_the_socket_of_another_segment_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "segment"
+    with cosmic_can.Segment(path) as first:
+        with pytest.raises(cosmic_can.LinkError, match="another server answers there"):
+            cosmic_can.Segment(path)
+        with cosmic_can.open(first.link, tx_node=7, patience=PATIENCE) as node:
+            assert node.is_connected
+        # Somebody else takes the place.
+        path.unlink()
+        with socket.socket(socket.AF_UNIX) as other:
+            other.bind(str(path))
+            first.close()
+            assert path.exists()
+    path.unlink()
+    with cosmic_can.Segment(path):
+        assert path.exists()
+    assert not path.exists()
+    path.write_text("no socket")
+    with pytest.raises(cosmic_can.LinkError, match="a file that is no socket"):
+        cosmic_can.Segment(path)
 
 
 def test_no_broker_answers(segment: cosmic_can.Segment) -> None:

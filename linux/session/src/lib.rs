@@ -3,7 +3,7 @@
 //!
 //! A [`Session`] is one node with a thread of its own. It knows the quality of channels from the file that describes
 //! the cluster, or is told ([`Quality`]). A [`Subscription`] has a file descriptor that is readable while an event
-//! waits, for loops that wait for many things.
+//! waits, for loops that wait for many things. Who drives a node itself gets its [configuration](node_config) here.
 //!
 //! ```no_run
 //! use cosmic_core::Subject;
@@ -27,11 +27,13 @@
 //! Nothing of this is to be called inside a task of tokio, for it blocks; nor in the child of a `fork`, where the
 //! thread of the session does not run.
 
+mod config;
 mod failure;
 mod quality;
 mod session;
 mod subscription;
 
+pub use config::node_config;
 pub use failure::Failure;
 pub use quality::{Class, Quality, Times};
 pub use session::{PATIENCE, Session, Settings};

@@ -2,17 +2,19 @@
 
 use std::collections::HashMap;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
 use cosmic_core::can::{BitRate, Payload, TxNode};
 use cosmic_core::event_layer::{Channel, ChannelCounters, Event};
 use cosmic_core::{NodeUid, Subject};
 use cosmic_linux::link::LinkAddress;
-use cosmic_linux::{Config, Node, Publisher, calendar_without_slots, drawn_uid};
-use cosmic_monitor::SegmentPlan;
+use cosmic_linux::{Node, Publisher, drawn_uid};
+use cosmic_monitor::{SegmentPlan, hexadecimal};
 use tokio::runtime::{Builder, Runtime};
+use tokio::sync::watch;
 
+use crate::config::node_config;
 use crate::failure::Failure;
 use crate::quality::{Quality, Times};
 use crate::subscription::{Queue, Subscription};
@@ -42,15 +44,45 @@ impl Settings {
     }
 }
 
-/// A node with a thread of its own. Any thread may call it.
+/// A node with a thread of its own. Any thread may call it. It ends when it is closed or dropped.
 pub struct Session {
     node: Node,
     plan: Option<SegmentPlan>,
     patience: Duration,
+    open: Mutex<Open>,
+    closed: watch::Sender<bool>,
+}
+
+/// What a session has until it is closed.
+struct Open {
+    /// `None` when it has been closed. Calls that wait hold it, too, until they have heard of that.
+    thread: Option<Arc<Thread>>,
     /// One for each subject, until it is withdrawn.
-    publishers: Mutex<HashMap<Subject, Arc<Publisher<Payload>>>>,
-    /// `None` only while it is dropped.
-    runtime: Option<Runtime>,
+    publishers: HashMap<Subject, Arc<Publisher<Payload>>>,
+    subscriptions: Vec<Weak<Subscription>>,
+}
+
+/// The thread of a session. What runs there may wait for a file or a device, perhaps for ever: nobody waits for its end.
+struct Thread(Option<Runtime>);
+
+impl Thread {
+    fn start() -> std::io::Result<Self> {
+        let runtime =
+            Builder::new_multi_thread().worker_threads(1).thread_name("cosmic").enable_all().build();
+        Ok(Self(Some(runtime?)))
+    }
+
+    fn block_on<F: Future>(&self, what: F) -> Result<F::Output, Failure> {
+        Ok(self.0.as_ref().ok_or(Failure::Closed)?.block_on(what))
+    }
+}
+
+impl Drop for Thread {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.0.take() {
+            runtime.shutdown_background();
+        }
+    }
 }
 
 impl Session {
@@ -63,15 +95,12 @@ impl Session {
         let plan = plan.map_err(|why| Failure::Input(why.to_string()))?;
         let bit_rate = plan.as_ref().map_or(settings.bit_rate, SegmentPlan::bit_rate);
         let link = settings.link.link(bit_rate).map_err(Failure::Input)?;
-        let config = config(settings, plan.as_ref(), bit_rate);
-        let runtime = Builder::new_multi_thread()
-            .worker_threads(1)
-            .thread_name("cosmic")
-            .enable_all()
-            .build()
-            .map_err(|why| Failure::Link(format!("no thread can be started: {why}")))?;
+        let mut config = node_config(settings.uid.unwrap_or_else(drawn_uid), plan.as_ref(), bit_rate);
+        config.node.tx_node = settings.tx_node.or(config.node.tx_node);
+        let thread = Thread::start();
+        let thread = thread.map_err(|why| Failure::Link(format!("no thread can be started: {why}")))?;
         let patience = settings.patience;
-        let node = runtime.block_on(async {
+        let node = thread.block_on(async {
             let node = Node::start(config, link).map_err(|why| Failure::Input(why.to_string()))?;
             match tokio::time::timeout(patience, node.connected_or_failed()).await {
                 Ok(Ok(())) => Ok(node),
@@ -81,16 +110,34 @@ impl Session {
                     None => format!("{} does not answer within {patience:?}", settings.link),
                 })),
             }
-        })?;
-        Ok(Self { node, plan, patience, publishers: Mutex::default(), runtime: Some(runtime) })
+        })??;
+        let (publishers, subscriptions) = (HashMap::new(), Vec::new());
+        let open = Mutex::new(Open { thread: Some(Arc::new(thread)), publishers, subscriptions });
+        Ok(Self { node, plan, patience, open, closed: watch::Sender::new(false) })
+    }
+
+    /// Ends the node, with its subscriptions. Events that wait to be sent are discarded. Whoever waits in another call is
+    /// told.
+    pub fn close(&self) {
+        let open = {
+            let mut open = self.lock();
+            let (publishers, subscriptions) = (HashMap::new(), Vec::new());
+            std::mem::replace(&mut *open, Open { thread: None, publishers, subscriptions })
+        };
+        self.closed.send_replace(true);
+        open.subscriptions.iter().filter_map(Weak::upgrade).for_each(|subscription| subscription.close());
+    }
+
+    /// Returns whether it has been closed.
+    pub fn is_closed(&self) -> bool {
+        self.lock().thread.is_none()
     }
 
     /// The subject of a channel, by its name in the cluster's file or as up to 16 hexadecimal digits behind `0x`.
     pub fn subject_of(&self, name: &str) -> Option<Subject> {
         let planned =
             self.plan.as_ref().and_then(|plan| Subject::new(plan.channel(plan.channel_named(name)?).subject));
-        let digits = || u64::from_str_radix(name.strip_prefix("0x")?, 16).ok();
-        planned.or_else(|| Subject::new(digits()?))
+        planned.or_else(|| Subject::new(hexadecimal(name).filter(|_| name.starts_with("0x"))?))
     }
 
     /// The description of the cluster.
@@ -106,7 +153,8 @@ impl Session {
     /// Announces a channel, and waits until it can be published on. Does nothing for one that has been announced.
     ///
     /// # Errors
-    /// [`Failure::Input`], [`Failure::Refused`], [`Failure::NotBound`]; then the channel is not announced.
+    /// [`Failure::Input`], [`Failure::Refused`], [`Failure::NotBound`], [`Failure::Closed`]; then the channel is not
+    /// announced.
     pub fn announce(&self, subject: Subject, quality: Option<&Quality>) -> Result<(), Failure> {
         self.publisher(subject, quality).map(|_| ())
     }
@@ -114,7 +162,8 @@ impl Session {
     /// Gives up the announcement of a channel. Events that wait to be sent are discarded. Returns whether there was
     /// one.
     pub fn withdraw(&self, subject: Subject) -> bool {
-        self.publishers().remove(&subject).is_some()
+        let publisher = self.lock().publishers.remove(&subject);
+        publisher.is_some()
     }
 
     /// Publishes an event of now. The first one on a channel that has not been announced announces it, as the cluster's
@@ -142,7 +191,8 @@ impl Session {
         subject: Subject,
         quality: Option<&Quality>,
         queue: Queue,
-    ) -> Result<Subscription, Failure> {
+    ) -> Result<Arc<Subscription>, Failure> {
+        self.thread()?;
         let channel = self.channel(subject, quality)?;
         let refused = |why: String| Failure::Refused(why);
         let subscriber = self.node.subscribe(&channel, queue.policy());
@@ -152,6 +202,13 @@ impl Session {
         if self.node.etag_of(subject).is_none() {
             self.within_patience(self.node.configured())?;
         }
+        let subscription = Arc::new(subscription);
+        let mut open = self.lock();
+        if open.thread.is_none() {
+            return Err(Failure::Closed);
+        }
+        open.subscriptions.retain(|subscription| subscription.strong_count() > 0);
+        open.subscriptions.push(Arc::downgrade(&subscription));
         Ok(subscription)
     }
 
@@ -165,14 +222,19 @@ impl Session {
         subject: Subject,
         quality: Option<&Quality>,
     ) -> Result<Arc<Publisher<Payload>>, Failure> {
-        if let Some(publisher) = self.publishers().get(&subject) {
+        self.thread()?;
+        if let Some(publisher) = self.lock().publishers.get(&subject) {
             return Ok(Arc::clone(publisher));
         }
         let channel = self.channel(subject, quality)?;
         let publisher = self.node.announce(&channel).map_err(|why| Failure::Refused(why.to_string()))?;
         self.within_patience(publisher.bound())?;
+        let mut open = self.lock();
+        if open.thread.is_none() {
+            return Err(Failure::Closed);
+        }
         // Two threads may have been here; both publishers do.
-        Ok(Arc::clone(self.publishers().entry(subject).or_insert_with(|| Arc::new(publisher))))
+        Ok(Arc::clone(open.publishers.entry(subject).or_insert_with(|| Arc::new(publisher))))
     }
 
     /// The channel, as the cluster's file says, or as was given.
@@ -190,38 +252,25 @@ impl Session {
     }
 
     fn within_patience<T>(&self, what: impl Future<Output = T>) -> Result<T, Failure> {
-        let runtime = self.runtime.as_ref().ok_or(Failure::Closed)?;
-        let waited = runtime.block_on(async { tokio::time::timeout(self.patience, what).await });
-        waited.map_err(|_| Failure::NotBound(self.patience))
+        let thread = self.thread()?;
+        let mut closed = self.closed.subscribe();
+        thread.block_on(async {
+            tokio::select! {
+                _ = closed.wait_for(|closed| *closed) => Err(Failure::Closed),
+                waited = tokio::time::timeout(self.patience, what) => {
+                    waited.map_err(|_| Failure::NotBound(self.patience))
+                }
+            }
+        })?
     }
 
-    fn publishers(&self) -> MutexGuard<'_, HashMap<Subject, Arc<Publisher<Payload>>>> {
-        self.publishers.lock().unwrap_or_else(PoisonError::into_inner)
+    fn thread(&self) -> Result<Arc<Thread>, Failure> {
+        self.lock().thread.clone().ok_or(Failure::Closed)
     }
-}
 
-impl Drop for Session {
-    fn drop(&mut self) {
-        if let Some(runtime) = self.runtime.take() {
-            // The tasks of the node may wait for a link; nobody waits for them.
-            runtime.shutdown_background();
-        }
+    fn lock(&self) -> MutexGuard<'_, Open> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-fn config(settings: &Settings, plan: Option<&SegmentPlan>, bit_rate: BitRate) -> Config {
-    let mut config = Config::new(settings.uid.unwrap_or_else(drawn_uid));
-    let planned = || plan?.cluster().nodes.iter().find(|node| NodeUid::new(node.uid) == settings.uid);
-    config.node.tx_node = settings.tx_node.or_else(|| Some(planned()?.tx_node));
-    config.calendar = match plan {
-        // A node refers to its calendar for as long as the program runs.
-        Some(plan) => Box::leak(Box::new(plan.calendar())),
-        None => calendar_without_slots(bit_rate),
-    };
-    if let Some(sync) = plan.and_then(|plan| plan.cluster().sync()) {
-        config.node.clock = sync;
-    }
-    config
 }
 
 /// For how long a session waits if it is not told.

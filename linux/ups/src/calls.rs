@@ -6,7 +6,6 @@
 
 use std::ffi::{c_char, c_int};
 use std::os::fd::AsRawFd as _;
-use std::sync::Arc;
 use std::time::Duration;
 
 use cosmic_core::can::Payload;
@@ -52,8 +51,7 @@ pub unsafe extern "C" fn ups_open(
 #[unsafe(no_mangle)]
 pub extern "C" fn ups_close(node: u64) -> c_int {
     guarded(|| {
-        let (_session, subscriptions) = handles::remove_node(node)?;
-        subscriptions.iter().for_each(|subscribed| subscribed.subscription.close());
+        handles::remove_node(node)?.close();
         Ok(OK)
     })
 }
@@ -138,7 +136,7 @@ pub unsafe extern "C" fn ups_subscribe(
         // SAFETY: the caller keeps to the header.
         let quality = unsafe { given_quality(quality) }?;
         let subscription = session.subscribe(subject(channel)?, quality.as_ref(), queue(depth))?;
-        let subscribed = Subscribed { subject: channel, subscription: Arc::new(subscription) };
+        let subscribed = Subscribed { subject: channel, subscription };
         let handle = handles::add_subscription(node, subscribed)?;
         // SAFETY: not null, and by the header a place for a handle.
         unsafe { place.write(handle) };

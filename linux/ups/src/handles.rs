@@ -48,12 +48,13 @@ pub(crate) fn node(handle: u64) -> Result<Arc<Session>, Error> {
     with(|handles| handles.nodes.get(&handle).cloned()).ok_or_else(|| Error::handle("node", handle))
 }
 
-/// What is removed is dropped by the caller, not under the lock.
-pub(crate) fn remove_node(handle: u64) -> Result<(Arc<Session>, Vec<Subscribed>), Error> {
+/// Forgets a node with its subscriptions. The caller closes it, not under the lock.
+pub(crate) fn remove_node(handle: u64) -> Result<Arc<Session>, Error> {
     with(|handles| {
         let session = handles.nodes.remove(&handle)?;
-        let of_node = handles.subscriptions.extract_if(|_, (node, _)| *node == handle);
-        Some((session, of_node.map(|(_, (_, subscribed))| subscribed).collect()))
+        // None of them is the last holder of the node.
+        handles.subscriptions.retain(|_, (node, _)| *node != handle);
+        Some(session)
     })
     .ok_or_else(|| Error::handle("node", handle))
 }

@@ -4,6 +4,7 @@ use std::process::ExitCode;
 
 use cosmic_core::time::Instant;
 use cosmic_linux::What;
+use cosmic_log::feed;
 use cosmic_monitor::Decoded;
 use serde::Serialize;
 
@@ -12,7 +13,6 @@ use crate::arguments::Echo;
 use crate::context::Context;
 use crate::failure::{FOUND, Failure};
 use crate::output::Style;
-use crate::source::feed;
 
 /// An event for machines.
 #[derive(Serialize)]
@@ -26,7 +26,7 @@ pub(super) struct Line<'a> {
 pub(super) async fn echo(context: &mut Context, options: &Echo) -> Result<ExitCode, Failure> {
     let chosen = context.chosen(&options.channels)?;
     let mut source = context.source(options.span).await?;
-    let mut monitor = context.monitor(source.now());
+    let mut monitor = context.informed_monitor(source.now());
     let mut printed = 0;
     while options.count.is_none_or(|count| printed < count) {
         let Some(tapped) = source.next().await else { break };

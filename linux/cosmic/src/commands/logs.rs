@@ -5,18 +5,16 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use cosmic_bus::WireFrame;
-use cosmic_core::can::Frame;
-use cosmic_core::time::{self, Instant};
+use cosmic_core::time::Instant;
+use cosmic_linux::What;
 use cosmic_linux::link::LinkAddress;
-use cosmic_linux::{Tapped, What};
-use cosmic_log::{Reader, Writer};
-use cosmic_monitor::Monitor;
+use cosmic_log::{Heard, Writer};
 
 use super::{echo, warn};
 use crate::arguments::{Record, Replay};
 use crate::context::Context;
 use crate::failure::{FOUND, Failure};
-use crate::source::{Source, feed};
+use crate::source::{Source, std_span};
 
 /// `cosmic record`
 pub(super) async fn record(context: &mut Context, options: &Record) -> Result<ExitCode, Failure> {
@@ -56,7 +54,7 @@ pub(super) async fn record(context: &mut Context, options: &Record) -> Result<Ex
 pub(super) async fn replay(context: &mut Context, options: &Replay) -> Result<ExitCode, Failure> {
     let log = Source::open(&LinkAddress::Log(options.file.clone()), context.bit_rate())?;
     let mut target = Source::open(context.link()?, context.bit_rate())?;
-    let patience = Duration::from_nanos(options.patience.as_ticks());
+    let patience = std_span(options.patience);
     target.connected(patience).await?;
     let Source::Live { tap, .. } = &mut target else {
         return Err(Failure::input(
@@ -73,7 +71,7 @@ pub(super) async fn replay(context: &mut Context, options: &Replay) -> Result<Ex
             continue;
         };
         if options.speed > 0.0 {
-            let since = Duration::from_nanos(tapped.at.since_epoch().as_ticks());
+            let since = std_span(tapped.at.since_epoch());
             let due =
                 Duration::try_from_secs_f64(since.as_secs_f64() / options.speed).unwrap_or(Duration::MAX);
             let due = start.checked_add(due);
@@ -99,42 +97,17 @@ pub(super) async fn replay(context: &mut Context, options: &Replay) -> Result<Ex
 
 /// `cosmic decode`
 pub(super) fn decode(context: &mut Context, file: &Path) -> Result<ExitCode, Failure> {
-    let mut monitor = context.monitor(Instant::EPOCH);
-    // Events may come before the binding that says what they are: a log is read for bindings first. Standard input
-    // passes once.
-    if file.as_os_str() != "-" {
-        let mut first = context.monitor(Instant::EPOCH);
-        // What is wrong with it, the second reading says.
-        let _ = listen(&mut first, file, |_, _, _| Ok(()));
-        first.bindings().for_each(|(subject, etag)| monitor.learn(subject, etag));
-    }
+    let mut log = Heard::open(file, context.monitor(Instant::EPOCH))?;
     let mut frames = 0_u64;
-    listen(&mut monitor, file, |monitor, at, frame| {
-        frames += 1;
-        echo::print(context, at, &monitor.decode(&frame))
-    })?;
+    while let Some(entry) = log.next() {
+        let (_, tapped) = entry?;
+        if let What::Frame(frame) = tapped.what {
+            frames += 1;
+            echo::print(context, tapped.at, &log.monitor().decode(&frame))?;
+        }
+    }
     if frames == 0 && !context.output.json() {
         eprintln!("cosmic: there is no frame of COSMIC's in {}", file.display());
     }
     Ok(if frames > 0 { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
-}
-
-/// Has the monitor hear a whole log, and hands over each frame behind it.
-fn listen(
-    monitor: &mut Monitor,
-    file: &Path,
-    mut each: impl FnMut(&Monitor, Instant, Frame) -> Result<(), Failure>,
-) -> Result<(), Failure> {
-    let mut began = None;
-    for entry in Reader::open(file)? {
-        let entry = entry?;
-        let since = entry.stamp.saturating_sub(*began.get_or_insert(entry.stamp));
-        let ticks = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX / 2);
-        let tapped = Tapped { at: Instant::from_epoch(time::Duration::from_ticks(ticks)), what: entry.what };
-        feed(monitor, &tapped);
-        if let What::Frame(frame) = tapped.what {
-            each(monitor, tapped.at, frame)?;
-        }
-    }
-    Ok(())
 }

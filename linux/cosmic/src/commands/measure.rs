@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::time::Instant;
 use cosmic_linux::What;
+use cosmic_log::feed;
 use cosmic_monitor::{ChannelView, Monitor, SlotView};
 use serde::Serialize;
 
@@ -14,7 +15,6 @@ use crate::arguments::Measure;
 use crate::context::{Chosen, Context};
 use crate::failure::{FOUND, Failure};
 use crate::output::{Cell, Style, short, signed};
-use crate::source::feed;
 
 /// The distances of the events of one publisher on one channel.
 #[derive(Clone, Default, Debug)]
@@ -65,7 +65,7 @@ struct Rhythm {
 pub(super) async fn hz(context: &mut Context, options: &Measure) -> Result<ExitCode, Failure> {
     let chosen = context.chosen(&options.channels)?;
     let mut source = context.source(Some(options.listen.span)).await?;
-    let mut monitor = context.monitor(source.now());
+    let mut monitor = context.informed_monitor(source.now());
     let mut all: BTreeMap<(Etag, TxNode), Distances> = BTreeMap::new();
     while let Some(tapped) = source.next().await {
         let tapped = tapped?;
@@ -141,7 +141,7 @@ struct Latencies<'a> {
 pub(super) async fn latency(context: &mut Context, options: &Measure) -> Result<ExitCode, Failure> {
     let chosen = context.chosen(&options.channels)?;
     let mut source = context.source(Some(options.listen.span)).await?;
-    let mut monitor = context.monitor(source.now());
+    let mut monitor = context.informed_monitor(source.now());
     listen(&mut source, &mut monitor).await?;
     let snapshot = monitor.snapshot(source.now());
     let is_chosen = |etag: Option<u16>| is_one(&chosen, &monitor, etag);

@@ -12,13 +12,14 @@ use std::process::ExitCode;
 
 use clap::CommandFactory as _;
 use cosmic_linux::{Tapped, What};
+use cosmic_log::feed;
 use cosmic_monitor::{Monitor, SegmentPlan};
 
 use crate::arguments::{Arguments, Command};
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::output::Output;
-use crate::source::{Source, feed};
+use crate::source::Source;
 use crate::top;
 
 /// Runs a command.

@@ -3,15 +3,16 @@
 use std::process::ExitCode;
 use std::time::Duration;
 
-use cosmic_core::can::{Payload, TxNode};
+use cosmic_core::can::{Etag, Payload, TxNode};
 use cosmic_core::event_layer::{
     Attributes, Channel, Content, Delivered, Depth, Importance, NonRealTimeAttributes, Policy, SoftAttributes,
 };
 use cosmic_core::time;
 use cosmic_core::{NodeUid, Subject};
-use cosmic_linux::{BrokerTables, Config, Node, calendar_without_slots, drawn_uid};
+use cosmic_linux::{BrokerTables, Node, drawn_uid};
 use cosmic_monitor::{DecodedField, SegmentPlan};
 use cosmic_plan::cluster;
+use cosmic_session::node_config;
 use serde::Serialize;
 use tokio::sync::mpsc;
 
@@ -19,7 +20,7 @@ use crate::arguments::{Class, Host, Identity, Publish, Subscribe, subject};
 use crate::context::Context;
 use crate::failure::{FOUND, Failure};
 use crate::output::Style;
-use crate::source::{link, sleep_until};
+use crate::source::{end_of, link, sleep_until, std_span};
 
 /// Starts a node, when the link is there.
 pub(super) async fn start(
@@ -32,16 +33,9 @@ pub(super) async fn start(
     let mut trial = crate::source::Source::open(&choice, bit_rate)?;
     trial.connected(std_span(identity.patience)).await?;
     drop(trial);
-    let mut config = Config::new(identity.uid.unwrap_or_else(drawn_uid));
-    config.node.tx_node = identity.tx_node;
-    config.calendar = match &context.plan {
-        // A node refers to its calendar for as long as the program runs.
-        Some(plan) => Box::leak(Box::new(plan.calendar())),
-        None => calendar_without_slots(bit_rate),
-    };
-    if let Some(sync) = context.plan.as_ref().and_then(|plan| plan.cluster().sync()) {
-        config.node.clock = sync;
-    }
+    let uid = identity.uid.unwrap_or_else(drawn_uid);
+    let mut config = node_config(uid, context.plan.as_ref(), bit_rate);
+    config.node.tx_node = identity.tx_node.or(config.node.tx_node);
     config.broker = broker;
     let node = Node::start(config, link(&choice, bit_rate)?);
     let node = node.map_err(|error| Failure::input(error.to_string()))?;
@@ -50,19 +44,19 @@ pub(super) async fn start(
     Ok(node)
 }
 
-fn std_span(span: time::Duration) -> Duration {
-    Duration::from_nanos(span.as_ticks())
-}
-
-/// The channel of this name, with the quality that the plan or else `given` says.
+/// The channel of this name, with the quality that the plan or else `given` and `etag` say.
 fn channel(
     plan: Option<&SegmentPlan>,
     name: &str,
+    etag: Option<Etag>,
     given: impl FnOnce(Subject) -> Channel<Payload>,
 ) -> Result<(Channel<Payload>, Option<usize>), Failure> {
     let named = plan.and_then(|plan| plan.channel_named(name));
     let by_subject = || plan?.channel_of_subject(subject(name)?);
     if let Some((plan, at)) = plan.zip(named.or_else(by_subject)) {
+        if etag.is_some() {
+            return Err(Failure::input(format!("the cluster file describes {name}: leave out --etag")));
+        }
         let wrong = || {
             Failure::input(format!(
                 "the cluster file contradicts itself about {name}: check it by cosmic-plan"
@@ -75,7 +69,8 @@ fn channel(
     let subject = subject.ok_or_else(|| {
         Failure::input(format!("there is no channel {name:?}: give {remedy}, or the 16 digits of a subject"))
     })?;
-    Ok((given(subject), None))
+    let channel = given(subject);
+    Ok((etag.map_or(channel, |etag| channel.with_etag(etag)), None))
 }
 
 /// The channel of this name; a soft real-time one if no plan says what it is.
@@ -83,7 +78,7 @@ pub(super) fn soft_channel(
     plan: Option<&SegmentPlan>,
     name: &str,
 ) -> Result<(Channel<Payload>, Option<usize>), Failure> {
-    channel(plan, name, |subject| soft(subject, DEADLINE, 4 * DEADLINE))
+    channel(plan, name, None, |subject| soft(subject, DEADLINE, 4 * DEADLINE))
 }
 
 /// Waits until a node has its names, or says who did not give them.
@@ -111,11 +106,11 @@ struct Line<'a> {
 /// `cosmic sub`
 pub(super) async fn subscribe(context: &mut Context, options: &Subscribe) -> Result<ExitCode, Failure> {
     let given = |subject| soft(subject, DEADLINE, DEADLINE);
-    let (channel, at) = channel(context.plan.as_ref(), &options.channel, given)?;
+    let (channel, at) = channel(context.plan.as_ref(), &options.channel, options.etag, given)?;
     let node = start(context, &options.identity, None).await?;
     let mut events = events_of(&node, &channel, context.plan.as_ref().zip(at))?;
     named(&options.identity, node.configured()).await?;
-    let until = options.span.and_then(|span| tokio::time::Instant::now().checked_add(std_span(span)));
+    let until = end_of(options.span);
     let (mut printed, began) = (0, node.now());
     while options.count.is_none_or(|count| printed < count) {
         let event = tokio::select! {
@@ -229,7 +224,7 @@ pub(super) async fn publish(context: &mut Context, options: &Publish) -> Result<
             Channel::non_real_time(subject, attributes)
         }
     };
-    let (channel, at) = channel(context.plan.as_ref(), &options.channel, given)?;
+    let (channel, at) = channel(context.plan.as_ref(), &options.channel, options.etag, given)?;
     let content = content(context.plan.as_ref().zip(at), &options.content)?;
     let node = start(context, &options.identity, None).await?;
     let publisher = node.announce(&channel).map_err(|error| Failure::input(error.to_string()))?;
@@ -322,7 +317,7 @@ pub(super) async fn broker(context: &mut Context, options: &Host) -> Result<Exit
     let identity = Identity { tx_node: Some(tx_node), ..options.identity.clone() };
     let node = start(context, &identity, Some(tables)).await?;
     let mut news = node.news();
-    let until = options.span.and_then(|span| tokio::time::Instant::now().checked_add(std_span(span)));
+    let until = end_of(options.span);
     let mut role = None;
     loop {
         let present = node.broker_role();

@@ -20,7 +20,7 @@ use super::{part, warn};
 use crate::arguments::{Also, Identity, Serve};
 use crate::context::Context;
 use crate::failure::Failure;
-use crate::source::{Source, sleep_until};
+use crate::source::{Source, end_of, sleep_until};
 
 /// An event to be published, and where the answer goes.
 type Order = (PublishRequest, oneshot::Sender<Result<(), String>>);
@@ -55,9 +55,7 @@ pub(super) async fn serve(context: &mut Context, options: &Serve) -> Result<Exit
     for (source, segment) in followed {
         followers.spawn(follow(source, segment));
     }
-    let until = options
-        .span
-        .and_then(|span| tokio::time::Instant::now().checked_add(Duration::from_nanos(span.as_ticks())));
+    let until = end_of(options.span);
     tokio::select! {
         served = cosmic_page::serve(hub, listener) => {
             let why = |error| Failure::input(format!("the page is served no more: {error}"));

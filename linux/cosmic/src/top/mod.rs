@@ -9,6 +9,7 @@ use std::io::IsTerminal as _;
 use std::process::ExitCode;
 use std::time::Duration;
 
+use cosmic_log::feed;
 use cosmic_monitor::{Finding, Monitor, Notice, Snapshot};
 use crossterm::event::{self, Event, KeyEventKind};
 use tokio::sync::mpsc;
@@ -17,7 +18,7 @@ use tokio::time::{Instant, MissedTickBehavior};
 use crate::arguments::Top;
 use crate::context::Context;
 use crate::failure::Failure;
-use crate::source::{Source, feed, sleep_until};
+use crate::source::{Source, end_of, sleep_until};
 use screen::{Answer, Screen};
 
 /// What is drawn.
@@ -41,8 +42,7 @@ pub(crate) async fn run(context: &mut Context, options: &Top) -> Result<ExitCode
     let link = context.link()?.to_string();
     let mut source = context.source(None).await?.in_its_time();
     let mut monitor = context.monitor(source.now());
-    let until =
-        options.span.and_then(|span| Instant::now().checked_add(Duration::from_nanos(span.as_ticks())));
+    let until = end_of(options.span);
     let mut terminal = ratatui::try_init().map_err(|error| {
         Failure::input(format!("the terminal cannot be drawn on: {error}; try another TERM"))
     })?;
