@@ -186,8 +186,13 @@ fn the_program_of_the_documentation_prints_what_it_says() {
     };
     let bench = Bench::new();
     fs::write(bench.path("heat.c"), behind("This is `heat.c`", "```c\n")).unwrap();
-    let program = bench.compile(&bench.path("heat.c"));
-    assert_eq!(bench.printed(&program, &[]), behind("prints:", "```\n"));
+    let command = page.lines().find(|line| line.starts_with("cc ")).unwrap();
+    let command = command.replace("linux/ups/include", &manifest("include").display().to_string());
+    let command = command.replace("$PWD/target/release", "target/release");
+    let command = command.replace("target/release", &library().display().to_string());
+    let compiled = Command::new("sh").args(["-c", &command]).current_dir(bench.folder.path()).status();
+    assert!(compiled.unwrap().success(), "{command}");
+    assert_eq!(bench.printed(&bench.path("heat"), &[]), behind("prints:", "```\n"));
 }
 
 /// What C must find of a type: its size, alignment and the offset of each field.
