@@ -154,6 +154,9 @@ pub(crate) struct Subscribe {
     /// Its etag, where neither a cluster file nor a broker gives one: 1024 to 16383.
     #[arg(long, value_parser = etag)]
     pub(crate) etag: Option<Etag>,
+    /// The channel carries messages of up to 1024 bytes, where no cluster file says so.
+    #[arg(long)]
+    pub(crate) messages: bool,
     /// Ends after so many events.
     #[arg(long, short = 'n')]
     pub(crate) count: Option<u64>,
@@ -177,7 +180,7 @@ pub(crate) enum Class {
 pub(crate) struct Publish {
     /// The channel, by its name in the cluster file or by its subject.
     pub(crate) channel: String,
-    /// The content: field=value for each field, or up to eight bytes in hexadecimal digits.
+    /// The content: field=value for each field, or bytes in hexadecimal digits: up to eight, of a message up to 1024.
     #[arg(value_name = "CONTENT")]
     pub(crate) content: Vec<String>,
     /// The etag, where neither a cluster file nor a broker gives one: 1024 to 16383.
@@ -186,6 +189,9 @@ pub(crate) struct Publish {
     /// The class, where no cluster file says it.
     #[arg(long, value_enum, default_value = "srt")]
     pub(crate) class: Class,
+    /// The channel carries messages of up to 1024 bytes, where no cluster file says so. It is non real-time.
+    #[arg(long)]
+    pub(crate) messages: bool,
     /// By when an event is to be on the bus, from now.
     #[arg(long, value_parser = span, value_name = "SPAN")]
     pub(crate) deadline: Option<Duration>,

@@ -71,6 +71,36 @@ fn an_etag_is_fixed_where_nobody_gives_one() {
     assert!(text(&refused.stderr).contains("leave out --etag"), "{}", text(&refused.stderr));
 }
 
+/// The journal of the rover has more bytes than a frame; and so has a channel of which no file says so.
+#[test]
+fn messages_longer_than_a_frame_go_and_come_whole() {
+    let segment = Segment::start();
+    let link = segment.link();
+    let identity = |node| ["--tx-node", node, "-l", &link, "--patience", "50s"];
+    let journal = ["at=12", "latitude=47.5", "longitude=-8.25", "cells=1,2,3,4,5,6"];
+    let long = "A5".repeat(1024);
+    let plan = ["-c", CLUSTER];
+    let words = ["--messages", "--etag", "5000"];
+    for (channel, content, more, expected) in [
+        ("journal", &journal[..], &plan[..], "journal at=12 s latitude=47.5 ° longitude=-8.25 °"),
+        ("0x2A", &[long.as_str()], &words, long.as_str()),
+    ] {
+        let subscriber = Running::start(&[&["sub", channel, "-n", "1"][..], more, &identity("8")].concat());
+        let repeated = ["-n", "1000000", "--every", "20ms"];
+        let publisher = [&["pub", channel][..], content, &repeated, more, &identity("9")].concat();
+        let publisher = Running::start(&publisher);
+        let got = subscriber.wait();
+        assert!(got.status.success(), "{}", text(&got.stderr));
+        assert!(text(&got.stdout).contains(expected), "{}", text(&got.stdout));
+        drop(publisher);
+    }
+    let one = run(&[&["pub", "0x2A", &long][..], &words, &identity("9")].concat());
+    assert!(text(&one.stderr).contains("1 published, 1 sent, 0 expired"), "{}", text(&one.stderr));
+    let refused = run(&[&["pub", "0x2A", &long, "--etag", "5000"][..], &identity("9")].concat());
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(text(&refused.stderr).contains("--messages"), "{}", text(&refused.stderr));
+}
+
 #[test]
 fn fields_of_a_planned_channel_go_and_come_in_words() {
     let segment = Segment::start();

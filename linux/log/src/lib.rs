@@ -7,7 +7,6 @@ mod candump;
 mod heard;
 mod pcapng;
 
-pub use cosmic_linux::candump::bytes_of;
 pub use heard::{Heard, LogTime, feed, learn_bindings};
 
 use std::fmt;

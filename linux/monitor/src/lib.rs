@@ -70,7 +70,7 @@ pub use digits::hexadecimal;
 pub use doctor::{Finding, Rule, Severity};
 pub use feed::{Explanation, MOST_NOTICES, Notice, NoticeKind};
 pub use monitor::Monitor;
-pub use plan::{PlanRefused, SegmentPlan};
+pub use plan::{ByteMessages, PlanRefused, SegmentPlan};
 pub use snapshot::{
     ChannelClass, ChannelView, ClockView, ContentView, LatencyView, LinkView, LoadView, MessagesView,
     NodeView, PublisherView, Share, SlotView, Snapshot, SubscriberView,

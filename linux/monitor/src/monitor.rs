@@ -190,6 +190,15 @@ impl Monitor {
         Some(self.decode_as(frame, Some(self.messages.whole()?)))
     }
 
+    /// The bytes that the subscribers of an event see, of the frame that was handed in last: as
+    /// [`decode_whole`](Self::decode_whole).
+    pub fn content_whole(&self, frame: &Frame) -> Option<Vec<u8>> {
+        if frame.id.etag().is_reserved() || !self.carries_messages(self.planned_channel(frame.id.etag())) {
+            return Some(frame.payload.as_slice().to_vec());
+        }
+        Some(self.messages.whole()?.content.clone())
+    }
+
     /// Returns whether the plan has messages of several frames on this channel of it.
     pub(crate) fn carries_messages(&self, channel: Option<usize>) -> bool {
         self.plan.as_ref().zip(channel).is_some_and(|(plan, channel)| plan.carries_messages(channel))

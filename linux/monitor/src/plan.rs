@@ -7,8 +7,10 @@ use std::path::Path;
 use cosmic_core::calendar::Calendar;
 use cosmic_core::can::{BitRate, Etag, Payload, TxNode};
 use cosmic_core::event_layer::{
-    self as declared, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes,
+    self as declared, Bytes, HardAttributes, Importance, MessageChannel, NonRealTimeAttributes,
+    SoftAttributes,
 };
+use cosmic_core::network::fragments::MAX_MESSAGE_LEN;
 use cosmic_core::time::Duration;
 use cosmic_core::{NodeUid, Subject};
 use cosmic_plan::analysis::segment::assess;
@@ -30,6 +32,9 @@ pub struct SegmentPlan {
     by_node: HashMap<TxNode, usize>,
     by_name: HashMap<String, usize>,
 }
+
+/// A channel of messages whose content is taken as bytes, whatever the plan says of it.
+pub type ByteMessages = MessageChannel<Bytes<MAX_MESSAGE_LEN>, MAX_MESSAGE_LEN, 1>;
 
 /// Why there is no plan: all that is wrong, with file, line and remedy.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -219,6 +224,21 @@ impl SegmentPlan {
                 declared::Channel::non_real_time(subject, attributes)
             }
         };
+        let etag = planned.etag.filter(|etag| !etag.is_hard() && !etag.is_reserved());
+        Some(etag.map_or(channel, |etag| channel.with_etag(etag)))
+    }
+
+    /// The channel of messages as a program declares it that takes their content as bytes. `None` if the channel carries
+    /// events, or is not non real-time.
+    pub fn declare_messages(&self, at: usize) -> Option<ByteMessages> {
+        let planned = self.channel(at);
+        let PlannedClass::NonRealTime { importance } = planned.class else { return None };
+        if !self.carries_messages(at) {
+            return None;
+        }
+        let importance = Importance::new(importance)?;
+        let attributes = NonRealTimeAttributes { importance, validity: planned.validity };
+        let channel = ByteMessages::new(Subject::new(planned.subject)?, attributes);
         let etag = planned.etag.filter(|etag| !etag.is_hard() && !etag.is_reserved());
         Some(etag.map_or(channel, |etag| channel.with_etag(etag)))
     }

@@ -1,7 +1,6 @@
 //! An event, as Python sees it.
 
 use cosmic_core::Subject;
-use cosmic_core::can::Payload;
 use cosmic_core::event_layer::Delivered;
 use cosmic_monitor::SegmentPlan;
 use cosmic_plan::contents::Field;
@@ -32,7 +31,7 @@ pub(crate) struct Event {
     /// Why the content could not be decoded.
     #[pyo3(get)]
     malformed: Option<String>,
-    data: Payload,
+    data: Vec<u8>,
     fields: Py<PyDict>,
     units: Py<PyDict>,
     text: String,
@@ -44,7 +43,7 @@ impl Event {
         session: &Session,
         subscription: &Subscription,
         subject: Subject,
-        event: &Delivered<Payload>,
+        event: &Delivered<Vec<u8>>,
     ) -> PyResult<Self> {
         let plan = session.plan();
         let at = plan.and_then(|plan| plan.channel_of_subject(subject));
@@ -55,7 +54,7 @@ impl Event {
         let from = node.clone().unwrap_or_else(|| format!("node {}", event.publisher));
         let mut text = format!("{channel} from {from}: ");
         let mut malformed = None;
-        match plan.zip(at).map(|(plan, at)| decode(plan, at, event.content.as_slice())) {
+        match plan.zip(at).map(|(plan, at)| decode(plan, at, &event.content)) {
             Some(Ok(decoded)) if !decoded.is_empty() => {
                 let mut words = Vec::new();
                 for field in decoded {
@@ -66,10 +65,10 @@ impl Event {
                 text += &words.join(" ");
             }
             Some(Err(why)) => {
-                text += &format!("{} (malformed: {why})", event.content);
+                text += &format!("{} (malformed: {why})", digits(&event.content));
                 malformed = Some(why);
             }
-            _ => text += &event.content.to_string(),
+            _ => text += &digits(&event.content),
         }
         Ok(Self {
             channel,
@@ -78,7 +77,7 @@ impl Event {
             node,
             received_ns: subscription.received_ns(event),
             malformed,
-            data: event.content,
+            data: event.content.clone(),
             fields: fields.unbind(),
             units: units.unbind(),
             text,
@@ -90,7 +89,7 @@ impl Event {
 impl Event {
     #[getter]
     fn data<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        PyBytes::new(py, self.data.as_slice())
+        PyBytes::new(py, &self.data)
     }
 
     #[getter]
@@ -125,10 +124,12 @@ pub(crate) fn decode<'plan>(
 ) -> Result<Vec<Field<'plan>>, String> {
     let channel = plan.channel(channel);
     let layout = plan.cluster().layout_of(channel);
-    let Some(layout) = layout.filter(|_| usize::from(channel.length) <= Payload::MAX_LEN) else {
-        return Ok(Vec::new());
-    };
+    let Some(layout) = layout else { return Ok(Vec::new()) };
     layout.decode(bytes).map_err(|why| why.to_string())
+}
+
+fn digits(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
 }
 
 fn word(field: &Field<'_>) -> String {

@@ -39,6 +39,16 @@ pub(crate) fn read_log<'py>(
 /// The frames of a log, with what a listener knows of each when it comes.
 struct Log(Heard);
 
+/// A frame of a log.
+struct Row {
+    /// Seconds since 1970.
+    time: f64,
+    frame: Frame,
+    decoded: Decoded,
+    /// The content that ends with this frame: of a message of several frames the whole, with its last frame.
+    content: Option<Vec<u8>>,
+}
+
 impl Log {
     fn open(path: &Path, plan: Option<&SegmentPlan>) -> PyResult<Self> {
         let monitor = match plan {
@@ -50,13 +60,15 @@ impl Log {
 }
 
 impl Iterator for Log {
-    type Item = PyResult<(f64, Frame, Decoded)>;
+    type Item = PyResult<Row>;
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             match self.0.next()? {
                 Ok((stamp, Tapped { what: What::Frame(frame), .. })) => {
-                    return Some(Ok((stamp.as_secs_f64(), frame, self.0.monitor().decode(&frame))));
+                    let monitor = self.0.monitor();
+                    let (decoded, content) = (monitor.decode(&frame), monitor.content_whole(&frame));
+                    return Some(Ok(Row { time: stamp.as_secs_f64(), frame, decoded, content }));
                 }
                 Ok(_) => {}
                 Err(why) => return Some(Err(refused(why))),
@@ -78,7 +90,7 @@ fn all(py: Python<'_>, log: Log) -> PyResult<Bound<'_, PyDict>> {
             .into(),
     );
     for row in log {
-        let (time, frame, decoded) = row?;
+        let Row { time, frame, decoded, .. } = row?;
         let text = decoded.to_string();
         columns.lists[0].append(time)?;
         columns.lists[1].append(decoded.class)?;
@@ -148,19 +160,19 @@ fn events<'py>(
     }
     let columns = Columns::new(py, names);
     for row in log {
-        let (time, frame, decoded) = row?;
+        let Row { time, decoded, content, .. } = row?;
+        let Some(content) = content else { continue };
         if decoded.subject.as_ref() != Some(&chosen.subject) {
             continue;
         }
         columns.lists[0].append(time)?;
         columns.lists[1].append(decoded.tx_node)?;
         columns.lists[2].append(decoded.node)?;
-        let content = frame.payload.as_slice();
         if fields.is_empty() {
-            columns.lists[3].append(pyo3::types::PyBytes::new(py, content))?;
+            columns.lists[3].append(pyo3::types::PyBytes::new(py, &content))?;
             continue;
         }
-        let values = planned.and_then(|(plan, at)| decode(plan, at, content).ok()).unwrap_or_default();
+        let values = planned.and_then(|(plan, at)| decode(plan, at, &content).ok()).unwrap_or_default();
         for (place, column) in columns.lists[3..].iter().enumerate() {
             // Nothing stands where the content is none.
             match values.get(place) {

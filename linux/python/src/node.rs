@@ -34,12 +34,13 @@ struct GivenQuality {
     validity: Option<f64>,
     importance: Option<u8>,
     etag: Option<u16>,
+    messages: bool,
 }
 
 impl GivenQuality {
     fn quality(&self) -> PyResult<Option<Quality>> {
-        let Self { deadline, validity, importance, etag } = *self;
-        if deadline.is_none() && validity.is_none() && importance.is_none() && etag.is_none() {
+        let Self { deadline, validity, importance, etag, messages } = *self;
+        if deadline.is_none() && validity.is_none() && importance.is_none() && etag.is_none() && !messages {
             return Ok(None);
         }
         let etag = etag.map(|number| {
@@ -54,11 +55,19 @@ impl GivenQuality {
                     "a channel with an importance is non real-time, and has no deadline",
                 ));
             }
+            None if messages && deadline.is_some() => {
+                return Err(PyValueError::new_err("a channel of messages is non real-time, and has no deadline"));
+            }
+            None if messages => Class::Messages { importance: Importance::LEAST, validity },
             Some(rank) => {
                 let importance = Importance::new(rank).ok_or_else(|| {
                     PyValueError::new_err(format!("importance is {rank}: give 0, the most, to 4"))
                 })?;
-                Class::NonRealTime { importance, validity }
+                if messages {
+                    Class::Messages { importance, validity }
+                } else {
+                    Class::NonRealTime { importance, validity }
+                }
             }
             None => {
                 let Class::Soft { deadline: usual, .. } = Quality::DEFAULT.class else {

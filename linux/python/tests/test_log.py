@@ -57,6 +57,15 @@ def test_malformed_events_have_no_values(tmp_path: Path) -> None:
     assert columns["mode"] == [None, "stop"] and columns["speed"] == [None, 0.0]
 
 
+def test_a_message_of_several_frames_is_one_row() -> None:
+    log = ROOT / "docs/tasks/rover.log"
+    columns = cosmic_can.read_log(log, cluster=CLUSTER, channel="journal")
+    assert list(columns) == ["time", "tx_node", "node", "at", "latitude", "longitude", "cells"]
+    frames = pandas.DataFrame(cosmic_can.read_log(log, cluster=CLUSTER))
+    assert 0 < len(columns["time"]) < (frames["channel"] == "journal").sum()
+    assert set(columns["node"]) == {"base"} and columns["at"][0] == 0
+
+
 def test_events_before_their_binding_are_known(tmp_path: Path) -> None:
     log = tmp_path / "a.log"
     event = "02810400#9C004E004A1F19"

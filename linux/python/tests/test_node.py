@@ -130,6 +130,37 @@ def test_a_channel_that_no_file_describes(segment: cosmic_can.Segment) -> None:
             sensor.subscribe(0x2A, depth=0)
 
 
+def test_messages_longer_than_a_frame(segment: cosmic_can.Segment) -> None:
+    with (
+        cosmic_can.open(segment.link, tx_node=7, patience=PATIENCE) as sensor,
+        cosmic_can.open(segment.link, tx_node=8, patience=PATIENCE) as display,
+    ):
+        reports = display.subscribe(0x2C, messages=True, etag=5002)
+        sensor.announce(0x2C, messages=True, etag=5002)
+        for length in [0, 8, 9, 300, 1024]:
+            content = bytes(number * 31 % 256 for number in range(length))
+            event = publish(sensor, "0x2C", content, reports)
+            assert (event.data, event.publisher) == (content, 7)
+        with pytest.raises(cosmic_can.NotPublishedError, match="not sent"):
+            sensor.publish(0x2C, bytes(1025))
+        with pytest.raises(ValueError, match="no deadline"):
+            sensor.publish(0x2C, b"", deadline=1)
+        with pytest.raises(ValueError, match="no deadline"):
+            sensor.announce(0x2D, messages=True, deadline=1)
+        # Without the word for it, a channel has events of a frame.
+        sensor.announce(0x2D, importance=4, etag=5003)
+        with pytest.raises(cosmic_can.NotPublishedError, match="not sent"):
+            sensor.publish(0x2D, bytes(9))
+
+
+def test_messages_of_the_cluster_file(segment: cosmic_can.Segment, base: cosmic_can.Node) -> None:
+    with planned(segment, 6) as power:
+        journal = {"at": 12.0, "latitude": 47.5, "longitude": -8.25, "cells": [1, 2, 3, 4, 5, 6]}
+        event = publish(base, "journal", journal, power.subscribe("journal"))
+        assert event.fields == journal and len(event.data) > 8
+        assert str(event).startswith("journal from base: at=12 s latitude=47.5 °")
+
+
 def test_asyncio(base: cosmic_can.Node, imu: cosmic_can.Node) -> None:
     attitudes = base.subscribe("attitude")
 

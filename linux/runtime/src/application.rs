@@ -113,11 +113,7 @@ impl<C: Content> Publisher<C> {
 
     /// Waits until the node has its TxNode and the channel its etag. Before that, publishing is refused.
     pub async fn bound(&self) {
-        let bound = |node: &Node| {
-            let etag = node.shared().look(|core| core.half.services().etag_of(self.subject));
-            etag.zip(node.tx_node()).map(|_| ())
-        };
-        self.node.until(bound).await;
+        self.node.until_bound(self.subject).await;
     }
 
     /// The channel's subject.

@@ -51,7 +51,7 @@ impl<'l> Entry<'l> {
 }
 
 /// Bytes in hexadecimal digits, at most eight; dots between them are allowed.
-pub fn bytes_of(text: &str) -> Option<Vec<u8>> {
+fn bytes_of(text: &str) -> Option<Vec<u8>> {
     let digits: Vec<u8> = text.bytes().filter(|digit| *digit != b'.').collect();
     hex_bytes(&digits)
 }

@@ -33,6 +33,8 @@
 //! * Soft and non real-time channels: deadlines, expiry and exceptions are those of the core. The timer has a
 //!   resolution of a millisecond, so an event may be promoted or discarded that much late. It is never handed to the
 //!   link after it has expired: that is looked at once more at that moment.
+//! * Messages of up to 1024 bytes, on non real-time channels ([`Node::announce_messages`],
+//!   [`Node::subscribe_messages`]).
 //! * Hard real-time channels are received, as soon as their frames arrive, not at their delivery instants; a frame that
 //!   was repeated on the bus is one event. Publishing on them needs a clock as good as the calendar's, which Linux
 //!   behind a serial line or a socket has not: [`Node::announce`] refuses it.
@@ -57,6 +59,7 @@ pub mod candump;
 mod config;
 mod descriptor;
 pub mod link;
+mod messages;
 mod node;
 mod places;
 mod shared;
@@ -65,6 +68,7 @@ mod tap;
 pub use application::{AnnounceError, Publisher, Subscriber};
 pub use config::{BrokerTables, Config, StartError, calendar_without_slots, drawn_uid};
 pub use link::{Link, LinkCounters, LinkError, Port};
+pub use messages::{MESSAGES_AT_ONCE, MessagePublisher, MessageSubscriber, WAITING_MESSAGES};
 pub use node::Node;
 pub use shared::{BROKER_ADMITS, BROKER_NODES, BROKER_SUBJECTS, Broker};
 pub use tap::{NotSent, Tap, Tapped, What};

@@ -60,9 +60,14 @@ impl Node {
         self.shared().look(|core| core.half.exceptions(kind))
     }
 
-    /// What happened on a channel at this node.
+    /// What happened on a channel at this node. Of a channel of messages: what happened to their frames; whole messages
+    /// count where they were refused, expired before they began, or found no place with their subscriber.
     pub fn channel_counters(&self, subject: Subject) -> Option<ChannelCounters> {
-        self.shared().look(|core| core.half.channel_counters(subject))
+        self.shared().look(|core| {
+            let mut counters = core.half.channel_counters(subject)?;
+            core.messages.add_to(subject, &mut counters);
+            Some(counters)
+        })
     }
 
     /// What the link did.
@@ -158,6 +163,15 @@ impl Node {
     /// that expires before it comes to the link changes nothing.
     pub fn departures(&self) -> watch::Receiver<u64> {
         self.shared().departures.subscribe()
+    }
+
+    /// Waits until the node has its TxNode and the channel of this subject its etag.
+    pub(crate) async fn until_bound(&self, subject: Subject) {
+        let bound = |node: &Self| {
+            let etag = node.shared().look(|core| core.half.services().etag_of(subject));
+            etag.zip(node.tx_node()).map(|_| ())
+        };
+        self.until(bound).await;
     }
 
     /// Waits until there is what is looked for. It is looked for whenever the link connects or a control frame has come.

@@ -16,6 +16,7 @@ use tokio::sync::{Notify, broadcast, watch};
 
 use crate::config::{Config, StartError};
 use crate::link::{End, LinkCounters, LinkError};
+use crate::messages::Messages;
 use crate::places::{Handover, Places};
 
 /// Nodes that a hosted broker has ids for.
@@ -34,7 +35,7 @@ type Hosting = AdmittingBroker<BROKER_NODES, BROKER_SUBJECTS, BROKER_ADMITS>;
 pub(crate) const CHANNELS: usize = 128;
 type Services = NodeServices<CHANNELS, { 2 * CHANNELS }, 126, 1024, Option<Hosting>>;
 /// A Linux node has memory: as much as the core can number. It takes part in no slot, so one buffer does.
-type Half = EventHalf<1, CHANNELS, 254, 255, 128, 128, Services>;
+pub(crate) type Half = EventHalf<1, CHANNELS, 254, 255, 128, 128, Services>;
 
 pub(crate) struct Shared {
     core: Mutex<Core>,
@@ -54,6 +55,7 @@ pub(crate) struct Shared {
 pub(crate) struct Core {
     pub(crate) half: Box<Half>,
     places: Places,
+    pub(crate) messages: Messages,
     pub(crate) counters: LinkCounters,
     pub(crate) is_connected: bool,
     /// Why the link is not connected, as far as it has said.
@@ -82,6 +84,7 @@ impl Shared {
         let core = Core {
             half,
             places: Places::new(),
+            messages: Messages::default(),
             counters: LinkCounters::default(),
             is_connected: false,
             link_error: None,
@@ -299,7 +302,11 @@ impl Core {
             match self.half.poll(now) {
                 Step::Command(command) => self.execute(&command, now),
                 Step::SleepUntil(instant) => {
-                    self.next_wakeup = instant;
+                    // What a message loads leaves its place before the next of its frames.
+                    if Messages::attend(self, now) {
+                        continue;
+                    }
+                    self.next_wakeup = instant.min(self.messages.next_wakeup());
                     return;
                 }
             }

@@ -35,6 +35,6 @@ mod subscription;
 
 pub use config::node_config;
 pub use failure::Failure;
-pub use quality::{Class, Quality, Times};
+pub use quality::{Class, Declared, LONGEST_MESSAGE, Quality, Times};
 pub use session::{PATIENCE, Session, Settings};
 pub use subscription::{Closed, Queue, Subscription};

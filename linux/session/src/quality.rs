@@ -3,9 +3,14 @@
 use cosmic_core::Subject;
 use cosmic_core::can::{Etag, Payload};
 use cosmic_core::event_layer::{Channel, Importance, NonRealTimeAttributes, SoftAttributes};
+use cosmic_core::network::fragments::MAX_MESSAGE_LEN;
 use cosmic_core::time::Duration;
+use cosmic_monitor::{ByteMessages, SegmentPlan};
 
 use crate::failure::Failure;
+
+/// Bytes of a message at most.
+pub const LONGEST_MESSAGE: usize = MAX_MESSAGE_LEN;
 
 /// A class in which a session can publish.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -24,6 +29,46 @@ pub enum Class {
         /// From publication until an event is of no use any more; `None` if it keeps for ever.
         validity: Option<Duration>,
     },
+    /// Non real-time, and each event is a message of up to [`LONGEST_MESSAGE`] bytes in as many frames as it takes.
+    Messages {
+        /// As for [`Class::NonRealTime`].
+        importance: Importance,
+        /// As for [`Class::NonRealTime`].
+        validity: Option<Duration>,
+    },
+}
+
+/// A channel as a program declares it that takes its content as bytes.
+#[derive(Clone, Copy, Debug)]
+pub enum Declared {
+    /// Of events of a frame.
+    Events(Channel<Payload>),
+    /// Of messages.
+    Messages(ByteMessages),
+}
+
+impl Declared {
+    /// The channel as the plan has it; `None` if the description contradicts the protocol.
+    pub fn by_plan(plan: &SegmentPlan, at: usize) -> Option<Self> {
+        let messages = plan.declare_messages(at).map(Self::Messages);
+        messages.or_else(|| plan.declare(at).map(Self::Events))
+    }
+
+    /// The channel with a fixed etag.
+    pub fn with_etag(self, etag: Etag) -> Self {
+        match self {
+            Self::Events(channel) => Self::Events(channel.with_etag(etag)),
+            Self::Messages(channel) => Self::Messages(channel.with_etag(etag)),
+        }
+    }
+
+    /// Its subject.
+    pub const fn subject(&self) -> Subject {
+        match self {
+            Self::Events(channel) => channel.subject(),
+            Self::Messages(channel) => channel.subject(),
+        }
+    }
 }
 
 /// The quality of a channel that no file describes.
@@ -42,7 +87,7 @@ impl Quality {
         etag: None,
     };
 
-    pub(crate) fn channel(&self, subject: Subject) -> Result<Channel<Payload>, Failure> {
+    pub(crate) fn channel(&self, subject: Subject) -> Result<Declared, Failure> {
         let wrong = |what: &str| Err(Failure::Input(what.to_owned()));
         let channel = match self.class {
             Class::Soft { deadline, .. } if deadline.is_zero() => {
@@ -54,10 +99,14 @@ impl Quality {
                 );
             }
             Class::Soft { deadline, validity } => {
-                Channel::soft(subject, SoftAttributes { deadline, validity })
+                Declared::Events(Channel::soft(subject, SoftAttributes { deadline, validity }))
             }
-            Class::NonRealTime { importance, validity } => {
-                Channel::non_real_time(subject, NonRealTimeAttributes { importance, validity })
+            Class::NonRealTime { importance, validity } => Declared::Events(Channel::non_real_time(
+                subject,
+                NonRealTimeAttributes { importance, validity },
+            )),
+            Class::Messages { importance, validity } => {
+                Declared::Messages(ByteMessages::new(subject, NonRealTimeAttributes { importance, validity }))
             }
         };
         match self.etag {

@@ -6,18 +6,18 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
 use cosmic_core::can::{BitRate, Payload, TxNode};
-use cosmic_core::event_layer::{Channel, ChannelCounters, Event};
+use cosmic_core::event_layer::{Bytes, ChannelCounters, Event, PublishError};
 use cosmic_core::{NodeUid, Subject};
 use cosmic_linux::link::LinkAddress;
-use cosmic_linux::{Node, Publisher, drawn_uid};
+use cosmic_linux::{AnnounceError, MessagePublisher, Node, Publisher, drawn_uid};
 use cosmic_monitor::{SegmentPlan, hexadecimal};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::watch;
 
 use crate::config::node_config;
 use crate::failure::Failure;
-use crate::quality::{Quality, Times};
-use crate::subscription::{Queue, Subscription};
+use crate::quality::{Declared, LONGEST_MESSAGE, Quality, Times};
+use crate::subscription::{Queue, Source, Subscription};
 
 /// What a session is told when it is opened.
 #[derive(Clone, Debug)]
@@ -58,8 +58,15 @@ struct Open {
     /// `None` when it has been closed. Calls that wait hold it, too, until they have heard of that.
     thread: Option<Arc<Thread>>,
     /// One for each subject, until it is withdrawn.
-    publishers: HashMap<Subject, Arc<Publisher<Payload>>>,
+    publishers: HashMap<Subject, Outlet>,
     subscriptions: Vec<Weak<Subscription>>,
+}
+
+/// The right to publish on a channel.
+#[derive(Clone)]
+enum Outlet {
+    Events(Arc<Publisher<Payload>>),
+    Messages(Arc<MessagePublisher<Bytes<LONGEST_MESSAGE>>>),
 }
 
 /// The thread of a session. What runs there may wait for a file or a device, perhaps for ever: nobody waits for its end.
@@ -167,13 +174,23 @@ impl Session {
     }
 
     /// Publishes an event of now. The first one on a channel that has not been announced announces it, as the cluster's
-    /// file says or with the [default quality](Quality::DEFAULT), and may wait for a broker; no other waits.
+    /// file says or with the [default quality](Quality::DEFAULT), and may wait for a broker; no other waits. On a channel
+    /// of [messages](crate::Class::Messages), which have no deadline, a few may wait to be sent.
     ///
     /// # Errors
     /// As [`announce`](Self::announce), and [`Failure::NotPublished`].
     pub fn publish(&self, subject: Subject, content: &[u8], times: Times) -> Result<(), Failure> {
-        let content = Payload::new(content).ok_or(cosmic_core::event_layer::PublishError::TooLong)?;
-        let publisher = self.publisher(subject, None)?;
+        let publisher = match self.publisher(subject, None)? {
+            Outlet::Events(publisher) => publisher,
+            Outlet::Messages(publisher) => {
+                if times.deadline.is_some() {
+                    return Err(Failure::Input("a message is non real-time: give no deadline".to_owned()));
+                }
+                let content = Bytes::new(content).ok_or(PublishError::TooLong)?;
+                return Ok(publisher.publish_within(&content, times.validity)?);
+            }
+        };
+        let content = Payload::new(content).ok_or(PublishError::TooLong)?;
         let now = self.node.now();
         let mut event = Event::new(content);
         event.deadline = times.deadline.map(|deadline| now + deadline);
@@ -195,9 +212,14 @@ impl Session {
         self.thread()?;
         let channel = self.channel(subject, quality)?;
         let refused = |why: String| Failure::Refused(why);
-        let subscriber = self.node.subscribe(&channel, queue.policy());
-        let subscriber = subscriber.map_err(|why| refused(why.to_string()))?;
-        let subscription = Subscription::new(subscriber, queue)
+        let source = match &channel {
+            Declared::Events(channel) => self.node.subscribe(channel, queue.policy()).map(Source::Events),
+            Declared::Messages(channel) => {
+                self.node.subscribe_messages(channel, queue.policy()).map(Source::Messages)
+            }
+        };
+        let source = source.map_err(|why| refused(why.to_string()))?;
+        let subscription = Subscription::new(source, queue)
             .map_err(|why| refused(format!("no descriptor can be had: {why}; close some")))?;
         if self.node.etag_of(subject).is_none() {
             self.within_patience(self.node.configured())?;
@@ -217,34 +239,41 @@ impl Session {
         self.node.channel_counters(subject)
     }
 
-    fn publisher(
-        &self,
-        subject: Subject,
-        quality: Option<&Quality>,
-    ) -> Result<Arc<Publisher<Payload>>, Failure> {
+    fn publisher(&self, subject: Subject, quality: Option<&Quality>) -> Result<Outlet, Failure> {
         self.thread()?;
         if let Some(publisher) = self.lock().publishers.get(&subject) {
-            return Ok(Arc::clone(publisher));
+            return Ok(publisher.clone());
         }
         let channel = self.channel(subject, quality)?;
-        let publisher = self.node.announce(&channel).map_err(|why| Failure::Refused(why.to_string()))?;
-        self.within_patience(publisher.bound())?;
+        let refused = |why: AnnounceError| Failure::Refused(why.to_string());
+        let publisher = match &channel {
+            Declared::Events(channel) => {
+                let publisher = self.node.announce(channel).map_err(refused)?;
+                self.within_patience(publisher.bound())?;
+                Outlet::Events(Arc::new(publisher))
+            }
+            Declared::Messages(channel) => {
+                let publisher = self.node.announce_messages(channel).map_err(refused)?;
+                self.within_patience(publisher.bound())?;
+                Outlet::Messages(Arc::new(publisher))
+            }
+        };
         let mut open = self.lock();
         if open.thread.is_none() {
             return Err(Failure::Closed);
         }
         // Two threads may have been here; both publishers do.
-        Ok(Arc::clone(open.publishers.entry(subject).or_insert_with(|| Arc::new(publisher))))
+        Ok(open.publishers.entry(subject).or_insert(publisher).clone())
     }
 
     /// The channel, as the cluster's file says, or as was given.
-    fn channel(&self, subject: Subject, quality: Option<&Quality>) -> Result<Channel<Payload>, Failure> {
+    fn channel(&self, subject: Subject, quality: Option<&Quality>) -> Result<Declared, Failure> {
         let planned = self.plan.as_ref().and_then(|plan| Some((plan, plan.channel_of_subject(subject)?)));
         match (planned, quality) {
             (Some(_), Some(_)) => Err(Failure::Input(format!(
                 "the cluster's file says the quality of the channel with subject {subject}: give none"
             ))),
-            (Some((plan, at)), None) => plan.declare(at).ok_or_else(|| {
+            (Some((plan, at)), None) => Declared::by_plan(plan, at).ok_or_else(|| {
                 Failure::Input(format!("the cluster's file contradicts itself about subject {subject}"))
             }),
             (None, quality) => quality.unwrap_or(&Quality::DEFAULT).channel(subject),

@@ -10,10 +10,12 @@ use std::task::{Context, Poll, Wake, Waker};
 use std::time::{Duration, Instant};
 
 use cosmic_core::can::Payload;
-use cosmic_core::event_layer::{Delivered, Depth, Policy};
-use cosmic_linux::{Node, Subscriber};
+use cosmic_core::event_layer::{Bytes, Delivered, Depth, Policy};
+use cosmic_linux::{MessageSubscriber, Node, Subscriber};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::io::Errno;
+
+use crate::quality::LONGEST_MESSAGE;
 
 /// How events wait.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -48,21 +50,27 @@ impl std::error::Error for Closed {}
 
 /// A subscription to a channel. Any thread may call; an event comes to one of them. It ends when it is dropped.
 pub struct Subscription {
-    subscriber: Subscriber<Payload>,
+    source: Source,
     queue: Queue,
     signal: Arc<Signal>,
     waker: Waker,
     /// The event that the descriptor tells of.
-    first: Mutex<Option<Delivered<Payload>>>,
+    first: Mutex<Option<Delivered<Vec<u8>>>>,
     closed: AtomicBool,
 }
 
+/// Where events come from.
+pub(crate) enum Source {
+    Events(Subscriber<Payload>),
+    Messages(MessageSubscriber<Bytes<LONGEST_MESSAGE>>),
+}
+
 impl Subscription {
-    pub(crate) fn new(subscriber: Subscriber<Payload>, queue: Queue) -> std::io::Result<Self> {
+    pub(crate) fn new(source: Source, queue: Queue) -> std::io::Result<Self> {
         let signal = Arc::new(Signal(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?));
         let waker = Waker::from(Arc::clone(&signal));
         let (first, closed) = (Mutex::new(None), AtomicBool::new(false));
-        let subscription = Self { subscriber, queue, signal, waker, first, closed };
+        let subscription = Self { source, queue, signal, waker, first, closed };
         subscription.look_for_first(&mut subscription.lock());
         Ok(subscription)
     }
@@ -71,7 +79,7 @@ impl Subscription {
     ///
     /// # Errors
     /// The subscription has been closed.
-    pub fn try_next(&self) -> Result<Option<Delivered<Payload>>, Closed> {
+    pub fn try_next(&self) -> Result<Option<Delivered<Vec<u8>>>, Closed> {
         if self.closed.load(Ordering::Acquire) {
             return Err(Closed);
         }
@@ -89,7 +97,7 @@ impl Subscription {
     ///
     /// # Errors
     /// The subscription has been closed, perhaps while this waited.
-    pub fn next(&self, patience: Option<Duration>) -> Result<Option<Delivered<Payload>>, Closed> {
+    pub fn next(&self, patience: Option<Duration>) -> Result<Option<Delivered<Vec<u8>>>, Closed> {
         let until = patience.and_then(|patience| Instant::now().checked_add(patience));
         loop {
             if let Some(event) = self.try_next()? {
@@ -116,7 +124,7 @@ impl Subscription {
     }
 
     /// When an event of this subscription arrived, in nanoseconds of `CLOCK_MONOTONIC`, which other languages read, too.
-    pub fn received_ns(&self, event: &Delivered<Payload>) -> u64 {
+    pub fn received_ns(&self, event: &Delivered<Vec<u8>>) -> u64 {
         let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
         let part = |part| u64::try_from(part).unwrap_or(0);
         let now_ns = part(now.tv_sec).saturating_mul(1_000_000_000).saturating_add(part(now.tv_nsec));
@@ -125,11 +133,14 @@ impl Subscription {
 
     /// The node.
     pub fn node(&self) -> &Node {
-        self.subscriber.node()
+        match &self.source {
+            Source::Events(subscriber) => subscriber.node(),
+            Source::Messages(subscriber) => subscriber.node(),
+        }
     }
 
     /// Finds the event that the descriptor is to tell of; if there is none, the next one sets it.
-    fn look_for_first(&self, first: &mut Option<Delivered<Payload>>) {
+    fn look_for_first(&self, first: &mut Option<Delivered<Vec<u8>>>) {
         if first.is_none() {
             *first = self.poll();
         }
@@ -138,16 +149,30 @@ impl Subscription {
         }
     }
 
-    fn poll(&self) -> Option<Delivered<Payload>> {
-        match pin!(self.subscriber.next()).poll(&mut Context::from_waker(&self.waker)) {
+    fn poll(&self) -> Option<Delivered<Vec<u8>>> {
+        let mut context = Context::from_waker(&self.waker);
+        let next = match &self.source {
+            Source::Events(subscriber) => pin!(subscriber.next())
+                .poll(&mut context)
+                .map(|event| of_bytes(&event, event.content.as_slice())),
+            Source::Messages(subscriber) => pin!(subscriber.next())
+                .poll(&mut context)
+                .map(|message| of_bytes(&message, message.content.as_slice())),
+        };
+        match next {
             Poll::Ready(event) => Some(event),
             Poll::Pending => None,
         }
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Option<Delivered<Payload>>> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Option<Delivered<Vec<u8>>>> {
         self.first.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+fn of_bytes<C>(event: &Delivered<C>, content: &[u8]) -> Delivered<Vec<u8>> {
+    let Delivered { context, publisher, id, received_at, .. } = *event;
+    Delivered { content: content.to_vec(), context, publisher, id, received_at }
 }
 
 /// A descriptor that is readable from `wake` until `clear`.

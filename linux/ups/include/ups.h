@@ -58,9 +58,14 @@ extern "C" {
 /* Classes of channels, for ups_quality. Hard real-time channels come from the cluster's file, and are received only. */
 #define UPS_SOFT 0
 #define UPS_NON_REAL_TIME 1
+/* Non real-time, and each event is a message of up to UPS_DATA_MAX bytes, in as many frames as it takes. All who use the
+   channel say so. */
+#define UPS_MESSAGES 2
 
-/* Bytes of an event, at most. */
-#define UPS_DATA_MAX 8
+/* Bytes of an event on a channel that is none of messages, at most. */
+#define UPS_EVENT_MAX 8
+/* Bytes of a message, at most. */
+#define UPS_DATA_MAX 1024
 /* Bytes of a link, a path or a name with the zero at its end, at most. */
 #define UPS_TEXT_MAX 4096
 
@@ -73,18 +78,19 @@ typedef uint64_t ups_subscription;
 typedef struct msg_obj {
     /* The subject of its channel. */
     uint64_t subject;
-    /* To publish: nanoseconds from now until it should have been sent; 0: as the channel says. Received: 0. */
+    /* To publish: nanoseconds from now until it should have been sent; 0: as the channel says. Received: 0. A message
+       has none. */
     uint64_t deadline_ns;
     /* To publish: nanoseconds from now until it is of no use any more; 0: as the channel says. Received: 0. */
     uint64_t validity_ns;
     /* Received: when it arrived, in nanoseconds of CLOCK_MONOTONIC. Not looked at when it is published. */
     uint64_t received_at_ns;
     /* Received: the TxNode of its publisher. Not looked at when it is published. */
-    uint8_t publisher;
-    /* How many of the bytes there are: 0 to UPS_DATA_MAX. */
-    uint8_t length;
+    uint16_t publisher;
+    /* How many of the bytes there are: 0 to UPS_EVENT_MAX, or UPS_DATA_MAX on a channel of messages. */
+    uint16_t length;
     /* 0. */
-    uint8_t reserved[6];
+    uint8_t reserved[4];
     /* What it says. */
     uint8_t data[UPS_DATA_MAX];
 } msg_obj;
@@ -116,7 +122,7 @@ typedef struct ups_quality {
     uint64_t validity_ns;
     /* The etag in a cluster without broker, 1024 to 16383; 0: the broker gives it. */
     uint16_t etag;
-    /* UPS_SOFT or UPS_NON_REAL_TIME. */
+    /* UPS_SOFT, UPS_NON_REAL_TIME or UPS_MESSAGES. */
     uint8_t channel_class;
     /* Non real-time: 0 the most important, to 4. */
     uint8_t importance;
@@ -171,7 +177,7 @@ int ups_withdraw(ups_node node, uint64_t subject);
 
 /*
  * Publishes an event of now. The first one on a channel that has not been announced announces it, and may wait; no other
- * call waits.
+ * call waits. Up to 8 messages of a channel wait to be sent behind the one that is; UPS_ERR_QUEUE_FULL: one more.
  * UPS_ERR_ARGUMENT, UPS_ERR_HANDLE, UPS_ERR_TOO_LONG, UPS_ERR_DEADLINE, UPS_ERR_QUEUE_FULL, UPS_ERR_TOO_FAST, and those
  * of ups_announce(). The event is then not sent, and counted as refused if it got as far as its channel.
  */

@@ -80,14 +80,20 @@ pub(crate) fn quality(given: &UpsQuality) -> Result<Quality, Error> {
     let (deadline, validity) = (span(given.deadline_ns)?, span(given.validity_ns)?);
     let class = match given.channel_class {
         layout::SOFT => Class::Soft { deadline, validity },
-        layout::NON_REAL_TIME => {
+        layout::NON_REAL_TIME | layout::MESSAGES => {
             let importance = Importance::new(given.importance).ok_or_else(|| {
                 Error::argument(format!("`importance` is {}: give one from 0 to 4", given.importance))
             })?;
-            Class::NonRealTime { importance, validity: Some(validity).filter(|span| !span.is_zero()) }
+            let validity = Some(validity).filter(|span| !span.is_zero());
+            if given.channel_class == layout::MESSAGES {
+                Class::Messages { importance, validity }
+            } else {
+                Class::NonRealTime { importance, validity }
+            }
         }
         other => {
-            let what = format!("`channel_class` is {other}: give UPS_SOFT or UPS_NON_REAL_TIME");
+            let what =
+                format!("`channel_class` is {other}: give UPS_SOFT, UPS_NON_REAL_TIME or UPS_MESSAGES");
             return Err(Error::argument(what));
         }
     };

@@ -8,7 +8,6 @@ use std::ffi::{c_char, c_int};
 use std::os::fd::AsRawFd as _;
 use std::time::Duration;
 
-use cosmic_core::can::Payload;
 use cosmic_core::event_layer::{Delivered, PublishError};
 use cosmic_session::{Failure, Session, Settings, Times};
 
@@ -218,16 +217,17 @@ unsafe fn given_quality(quality: *const UpsQuality) -> Result<Option<cosmic_sess
     unsafe { pointee(quality, "quality") }.and_then(arguments::quality).map(Some)
 }
 
-fn received(subscribed: &Subscribed, event: &Delivered<Payload>) -> MsgObj {
+fn received(subscribed: &Subscribed, event: &Delivered<Vec<u8>>) -> MsgObj {
     let mut data = [0; DATA_MAX];
-    let bytes = event.content.as_slice();
-    data.iter_mut().zip(bytes).for_each(|(place, byte)| *place = *byte);
+    data.iter_mut().zip(&event.content).for_each(|(place, byte)| *place = *byte);
     MsgObj {
         subject: subscribed.subject,
+        deadline_ns: 0,
+        validity_ns: 0,
         received_at_ns: subscribed.subscription.received_ns(event),
-        publisher: event.publisher.get(),
-        length: event.content.len() as u8,
+        publisher: event.publisher.get().into(),
+        length: event.content.len().min(DATA_MAX) as u16,
+        reserved: [0; 4],
         data,
-        ..MsgObj::default()
     }
 }

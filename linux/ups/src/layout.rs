@@ -4,7 +4,7 @@ use std::ffi::c_char;
 
 /// `msg_obj`
 #[repr(C)]
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct MsgObj {
     /// The subject of its channel.
     pub subject: u64,
@@ -15,11 +15,11 @@ pub struct MsgObj {
     /// When it arrived, by `CLOCK_MONOTONIC`.
     pub received_at_ns: u64,
     /// The TxNode of its publisher.
-    pub publisher: u8,
+    pub publisher: u16,
     /// How many of the bytes there are.
-    pub length: u8,
+    pub length: u16,
     /// 0.
-    pub reserved: [u8; 6],
+    pub reserved: [u8; 4],
     /// What it says.
     pub data: [u8; DATA_MAX],
 }
@@ -52,7 +52,7 @@ pub struct UpsQuality {
     pub validity_ns: u64,
     /// The etag; 0: the broker gives it.
     pub etag: u16,
-    /// [`SOFT`] or [`NON_REAL_TIME`].
+    /// [`SOFT`], [`NON_REAL_TIME`] or [`MESSAGES`].
     pub channel_class: u8,
     /// 0 the most important, to 4.
     pub importance: u8,
@@ -112,7 +112,11 @@ pub const ERR_INTERNAL: i32 = -12;
 pub const SOFT: u8 = 0;
 /// `UPS_NON_REAL_TIME`
 pub const NON_REAL_TIME: u8 = 1;
+/// `UPS_MESSAGES`
+pub const MESSAGES: u8 = 2;
+/// `UPS_EVENT_MAX`
+pub const EVENT_MAX: usize = cosmic_core::can::Payload::MAX_LEN;
 /// `UPS_DATA_MAX`
-pub const DATA_MAX: usize = cosmic_core::can::Payload::MAX_LEN;
+pub const DATA_MAX: usize = cosmic_session::LONGEST_MESSAGE;
 /// `UPS_TEXT_MAX`
 pub const TEXT_MAX: usize = 4096;

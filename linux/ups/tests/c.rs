@@ -159,6 +159,12 @@ fn c_exchanges_events_blocking_and_by_descriptor() {
 
 #[test]
 #[ignore = "needs a C compiler: cargo xtask test linux"]
+fn c_exchanges_messages_longer_than_a_frame() {
+    Bench::new().run(&["messages"]);
+}
+
+#[test]
+#[ignore = "needs a C compiler: cargo xtask test linux"]
 fn c_is_told_what_is_wrong_with_its_input() {
     Bench::new().run(&["inputs"]);
 }
@@ -245,6 +251,8 @@ fn the_header_says_what_the_library_has() {
         ("UPS_ERR_INTERNAL", layout::ERR_INTERNAL.into()),
         ("UPS_SOFT", layout::SOFT.into()),
         ("UPS_NON_REAL_TIME", layout::NON_REAL_TIME.into()),
+        ("UPS_MESSAGES", layout::MESSAGES.into()),
+        ("UPS_EVENT_MAX", layout::EVENT_MAX as i64),
         ("UPS_DATA_MAX", layout::DATA_MAX as i64),
         ("UPS_TEXT_MAX", layout::TEXT_MAX as i64),
     ];

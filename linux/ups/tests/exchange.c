@@ -1,6 +1,6 @@
 /* The library as a program in C uses it. The test in c.rs serves the segment and the peer:
    what is published on COMMAND it answers on ANSWER with the bytes in reverse; a command { 0xB0, n } it answers n times.
-   Usage: exchange exchange|inputs|threads|planned LINK [CLUSTER] */
+   Usage: exchange exchange|messages|inputs|threads|planned LINK [CLUSTER] */
 #define _GNU_SOURCE
 #include "ups.h"
 
@@ -13,6 +13,7 @@
 
 #define COMMAND 0x51u
 #define ANSWER 0x52u
+#define JOURNAL 0x53u
 #define MS 1000000u
 
 #define CHECK(holds)                                                                                        \
@@ -198,8 +199,8 @@ static void run_inputs(const char *link) {
     quality.etag = 0xFFFF;
     ERROR(ups_announce(node, COMMAND, &quality), UPS_ERR_ARGUMENT, "1024 to 16383");
     quality = command_quality;
-    quality.channel_class = 2;
-    ERROR(ups_announce(node, COMMAND, &quality), UPS_ERR_ARGUMENT, "UPS_SOFT or UPS_NON_REAL_TIME");
+    quality.channel_class = 3;
+    ERROR(ups_announce(node, COMMAND, &quality), UPS_ERR_ARGUMENT, "UPS_NON_REAL_TIME or UPS_MESSAGES");
     quality.channel_class = UPS_NON_REAL_TIME;
     quality.importance = 5;
     ERROR(ups_announce(node, COMMAND, &quality), UPS_ERR_ARGUMENT, "0 to 4");
@@ -207,7 +208,7 @@ static void run_inputs(const char *link) {
     ERROR(ups_subscribe(node, COMMAND, NULL, 4, &subscription), UPS_ERR_REFUSED, "");
     ERROR(ups_subscribe(node, ANSWER, &answer_quality, 4, NULL), UPS_ERR_ARGUMENT, "`subscription` is NULL");
     ERROR(publish(node, NULL), UPS_ERR_ARGUMENT, "`msg` is NULL");
-    msg.length = UPS_DATA_MAX + 1;
+    msg.length = UPS_EVENT_MAX + 1;
     ERROR(publish(node, &msg), UPS_ERR_TOO_LONG, "not sent");
     msg = command(1);
     msg.deadline_ns = 2 * MS;
@@ -324,6 +325,40 @@ static void run_threads(const char *link) {
     CHECK(ups_close(shared_node) == UPS_OK);
 }
 
+/* Two nodes of this program. */
+static void run_messages(const char *link) {
+    ups_node base = open_node(link, 7), display = open_node(link, 8);
+    ups_quality quality = { 0, 0, 5003, UPS_MESSAGES, 4, 0 };
+    ups_subscription journal;
+    static const uint16_t lengths[] = { 8, 0, 9, 300, UPS_DATA_MAX };
+    static msg_obj msg, got;
+    CHECK(ups_subscribe(display, JOURNAL, &quality, 16, &journal) == UPS_OK);
+    CHECK(ups_announce(base, JOURNAL, &quality) == UPS_OK);
+    msg.subject = JOURNAL;
+    for (size_t i = 0; i < sizeof lengths / sizeof *lengths; i++) {
+        msg.length = lengths[i];
+        for (unsigned at = 0; at < UPS_DATA_MAX; at++) {
+            msg.data[at] = at < msg.length ? (uint8_t)(at * 31 + i) : 0;
+        }
+        CHECK(publish(base, &msg) == UPS_OK);
+        for (;;) {
+            int code = get_msg(journal, &got, 2000);
+            /* Who has just joined may miss the first one. */
+            if (code == UPS_ERR_TIMEOUT && i == 0) CHECK(publish(base, &msg) == UPS_OK);
+            else CHECK(code == UPS_OK || code == UPS_ERR_TIMEOUT);
+            if (code == UPS_OK && got.length == msg.length) break;
+        }
+        CHECK(memcmp(got.data, msg.data, UPS_DATA_MAX) == 0);
+        CHECK(got.subject == JOURNAL && got.publisher == 7);
+    }
+    msg.length = UPS_DATA_MAX + 1;
+    ERROR(publish(base, &msg), UPS_ERR_TOO_LONG, "not sent");
+    msg.length = 9;
+    msg.deadline_ns = MS;
+    ERROR(publish(base, &msg), UPS_ERR_ARGUMENT, "no deadline");
+    CHECK(ups_close(base) == UPS_OK && ups_close(display) == UPS_OK);
+}
+
 /* The peer sends the hard real-time channel `drive` and hears `joint`. */
 static void run_planned(const char *link, const char *cluster) {
     ups_settings settings = UPS_SETTINGS_INIT;
@@ -363,6 +398,7 @@ int main(int count, char **words) {
     if (count < 3) return 2;
     CHECK(strcmp(ups_last_error(), "") == 0);
     if (strcmp(words[1], "exchange") == 0) run_exchange(words[2]);
+    else if (strcmp(words[1], "messages") == 0) run_messages(words[2]);
     else if (strcmp(words[1], "inputs") == 0) run_inputs(words[2]);
     else if (strcmp(words[1], "threads") == 0) run_threads(words[2]);
     else if (strcmp(words[1], "planned") == 0 && count == 4) run_planned(words[2], words[3]);

@@ -1,5 +1,6 @@
 //! One function for each command.
 
+mod broker;
 mod echo;
 mod listen;
 mod logs;
@@ -47,7 +48,7 @@ pub(crate) async fn run(arguments: Arguments) -> Result<ExitCode, Failure> {
         Command::Decode { file } => logs::decode(&mut context, &file),
         Command::Sub(options) => part::subscribe(&mut context, &options).await,
         Command::Pub(options) => part::publish(&mut context, &options).await,
-        Command::Broker(options) => part::broker(&mut context, &options).await,
+        Command::Broker(options) => broker::broker(&mut context, &options).await,
         Command::Segment { path } => served::segment(&mut context, &path).await,
         Command::Completions { .. } => Ok(ExitCode::SUCCESS),
     };

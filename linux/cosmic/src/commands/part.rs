@@ -1,22 +1,20 @@
-//! Commands that take part as a node: `sub`, `pub`, `broker`.
+//! Commands that take part as a node: `sub`, `pub`.
 
 use std::process::ExitCode;
 use std::time::Duration;
 
-use cosmic_core::can::{Etag, Payload, TxNode};
+use cosmic_core::Subject;
+use cosmic_core::can::{Etag, Payload};
 use cosmic_core::event_layer::{
-    Attributes, Channel, Content, Delivered, Depth, Importance, NonRealTimeAttributes, Policy, SoftAttributes,
+    Bytes, Channel, Delivered, Depth, Importance, NonRealTimeAttributes, Policy, SoftAttributes,
 };
 use cosmic_core::time;
-use cosmic_core::{NodeUid, Subject};
-use cosmic_linux::{BrokerTables, Node, drawn_uid};
-use cosmic_monitor::{DecodedField, SegmentPlan};
-use cosmic_plan::cluster;
-use cosmic_session::node_config;
+use cosmic_linux::{BrokerTables, MessageSubscriber, Node, Subscriber, drawn_uid};
+use cosmic_monitor::{ByteMessages, DecodedField, SegmentPlan};
+use cosmic_session::{Declared, LONGEST_MESSAGE, node_config};
 use serde::Serialize;
-use tokio::sync::mpsc;
 
-use crate::arguments::{Class, Host, Identity, Publish, Subscribe, subject};
+use crate::arguments::{Class, Identity, Publish, Subscribe, subject};
 use crate::context::Context;
 use crate::failure::{FOUND, Failure};
 use crate::output::Style;
@@ -49,8 +47,8 @@ fn channel(
     plan: Option<&SegmentPlan>,
     name: &str,
     etag: Option<Etag>,
-    given: impl FnOnce(Subject) -> Channel<Payload>,
-) -> Result<(Channel<Payload>, Option<usize>), Failure> {
+    given: impl FnOnce(Subject) -> Declared,
+) -> Result<(Declared, Option<usize>), Failure> {
     let named = plan.and_then(|plan| plan.channel_named(name));
     let by_subject = || plan?.channel_of_subject(subject(name)?);
     if let Some((plan, at)) = plan.zip(named.or_else(by_subject)) {
@@ -62,7 +60,7 @@ fn channel(
                 "the cluster file contradicts itself about {name}: check it by cosmic-plan"
             ))
         };
-        return plan.declare(at).map(|channel| (channel, Some(at))).ok_or_else(wrong);
+        return Declared::by_plan(plan, at).map(|channel| (channel, Some(at))).ok_or_else(wrong);
     }
     let remedy = if plan.is_some() { "a name of the cluster file" } else { "a cluster file by --cluster" };
     let subject = subject(name);
@@ -73,12 +71,17 @@ fn channel(
     Ok((etag.map_or(channel, |etag| channel.with_etag(etag)), None))
 }
 
-/// The channel of this name; a soft real-time one if no plan says what it is.
+/// The channel of events of this name; a soft real-time one if no plan says what it is.
 pub(super) fn soft_channel(
     plan: Option<&SegmentPlan>,
     name: &str,
 ) -> Result<(Channel<Payload>, Option<usize>), Failure> {
-    channel(plan, name, None, |subject| soft(subject, DEADLINE, 4 * DEADLINE))
+    match channel(plan, name, None, |subject| soft(subject, DEADLINE, 4 * DEADLINE))? {
+        (Declared::Events(channel), at) => Ok((channel, at)),
+        (Declared::Messages(_), _) => Err(Failure::input(format!(
+            "{name} carries messages of several frames, which `cosmic pub` publishes, and this does not"
+        ))),
+    }
 }
 
 /// Waits until a node has its names, or says who did not give them.
@@ -105,10 +108,12 @@ struct Line<'a> {
 
 /// `cosmic sub`
 pub(super) async fn subscribe(context: &mut Context, options: &Subscribe) -> Result<ExitCode, Failure> {
-    let given = |subject| soft(subject, DEADLINE, DEADLINE);
+    let given = |subject| {
+        if options.messages { messages(subject, None) } else { soft(subject, DEADLINE, DEADLINE) }
+    };
     let (channel, at) = channel(context.plan.as_ref(), &options.channel, options.etag, given)?;
     let node = start(context, &options.identity, None).await?;
-    let mut events = events_of(&node, &channel, context.plan.as_ref().zip(at))?;
+    let events = Events::of(&node, &channel)?;
     named(&options.identity, node.configured()).await?;
     let until = end_of(options.span);
     let (mut printed, began) = (0, node.now());
@@ -117,10 +122,7 @@ pub(super) async fn subscribe(context: &mut Context, options: &Subscribe) -> Res
             biased;
             _ = tokio::signal::ctrl_c() => break,
             () = sleep_until(until) => break,
-            event = events.recv() => match event {
-                Some(event) => event,
-                None => break,
-            },
+            event = events.next() => event,
         };
         print(context, &options.channel, at, &event, began)?;
         printed += 1;
@@ -131,65 +133,56 @@ pub(super) async fn subscribe(context: &mut Context, options: &Subscribe) -> Res
     Ok(if printed > 0 { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
 }
 
-/// The events of a channel, as they come. One of hard real-time has a slot for so many bytes as its content has, so the
-/// type of its content is as long.
-fn events_of(
-    node: &Node,
-    channel: &Channel<Payload>,
-    planned: Option<(&SegmentPlan, usize)>,
-) -> Result<mpsc::Receiver<Delivered<Payload>>, Failure> {
-    let Attributes::Hard(attributes) = channel.attributes() else { return forward(node, channel) };
-    let planned = planned.map(|(plan, at)| plan.channel(at));
-    let etag = planned.and_then(|planned| planned.etag);
-    let etag = etag.ok_or_else(|| {
-        Failure::input("a hard real-time channel needs a cluster file: give it by --cluster")
-    })?;
-    macro_rules! of_length {
-        ($($len:literal)*) => {
-            match planned.map_or(8, |planned| planned.length) {
-                $($len => forward(node, &Channel::<[u8; $len]>::hard(channel.subject(), etag, attributes)),)*
-                _ => forward(node, channel),
-            }
-        };
-    }
-    of_length!(0 1 2 3 4 5 6 7 8)
+/// The events of a channel, as they come.
+enum Events {
+    Frames(Subscriber<Payload>),
+    Messages(MessageSubscriber<Bytes<LONGEST_MESSAGE>>),
 }
 
-fn forward<C: Content + Send + 'static>(
-    node: &Node,
-    channel: &Channel<C>,
-) -> Result<mpsc::Receiver<Delivered<Payload>>, Failure> {
-    let policy = Depth::new(QUEUE).map_or(Policy::Latest, Policy::Fifo);
-    let subscriber = node.subscribe(channel, policy).map_err(|error| Failure::input(error.to_string()))?;
-    let (sender, receiver) = mpsc::channel(usize::from(QUEUE));
-    tokio::spawn(async move {
-        loop {
-            let event = subscriber.next().await;
-            let mut bytes = [0; Payload::MAX_LEN];
-            event.content.encode(bytes.get_mut(..C::LEN).unwrap_or_default());
-            let content = Payload::truncated(bytes, event.content.encoded_len());
-            let Delivered { context, publisher, id, received_at, .. } = event;
-            if sender.send(Delivered { content, context, publisher, id, received_at }).await.is_err() {
-                return;
+impl Events {
+    fn of(node: &Node, channel: &Declared) -> Result<Self, Failure> {
+        let policy = Depth::new(QUEUE).map_or(Policy::Latest, Policy::Fifo);
+        match channel {
+            Declared::Events(channel) => node.subscribe(channel, policy).map(Self::Frames),
+            Declared::Messages(channel) => node.subscribe_messages(channel, policy).map(Self::Messages),
+        }
+        .map_err(|error| Failure::input(error.to_string()))
+    }
+
+    /// Cancelling the wait loses none.
+    async fn next(&self) -> Delivered<Vec<u8>> {
+        match self {
+            Self::Frames(subscriber) => {
+                let event = subscriber.next().await;
+                of_bytes(&event, event.content.as_slice())
+            }
+            Self::Messages(subscriber) => {
+                let message = subscriber.next().await;
+                of_bytes(&message, message.content.as_slice())
             }
         }
-    });
-    Ok(receiver)
+    }
+}
+
+fn of_bytes<C>(event: &Delivered<C>, content: &[u8]) -> Delivered<Vec<u8>> {
+    let Delivered { context, publisher, id, received_at, .. } = *event;
+    Delivered { content: content.to_vec(), context, publisher, id, received_at }
 }
 
 fn print(
     context: &mut Context,
     channel: &str,
     at: Option<usize>,
-    event: &Delivered<Payload>,
+    event: &Delivered<Vec<u8>>,
     began: time::Instant,
 ) -> Result<(), Failure> {
     let at_ns = event.received_at.saturating_since(began).as_ticks();
     let plan = context.plan.as_ref();
-    let decoded = plan.zip(at).map(|(plan, at)| plan.decode(at, event.content.as_slice()));
+    let decoded = plan.zip(at).map(|(plan, at)| plan.decode(at, &event.content));
     let node = plan.and_then(|plan| plan.node(event.publisher)).map(|node| node.name.clone());
+    let data: String = event.content.iter().map(|byte| format!("{byte:02X}")).collect();
     if context.output.json() {
-        let (publisher, data) = (event.publisher.get(), event.content.to_string());
+        let publisher = event.publisher.get();
         let fields = decoded.and_then(Result::ok).unwrap_or_default();
         return context.output.value(&Line { at_ns, channel, publisher, node, data, fields });
     }
@@ -197,8 +190,8 @@ fn print(
         Some(Ok(fields)) if !fields.is_empty() => {
             fields.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
         }
-        Some(Err(why)) => format!("{} (malformed: {why})", event.content),
-        _ => event.content.to_string(),
+        Some(Err(why)) => format!("{data} (malformed: {why})"),
+        _ => data,
     };
     let node = node.unwrap_or_else(|| format!("node {}", event.publisher));
     let at = context.output.styled(&format!("{:12.6}", at_ns as f64 / 1e9), Style::Dim);
@@ -206,37 +199,56 @@ fn print(
     context.output.flush()
 }
 
-fn soft(subject: Subject, deadline: time::Duration, validity: time::Duration) -> Channel<Payload> {
+fn soft(subject: Subject, deadline: time::Duration, validity: time::Duration) -> Declared {
     let deadline = deadline.max(time::Duration::from_ticks(1));
-    Channel::soft(subject, SoftAttributes { deadline, validity: validity.max(deadline) })
+    Declared::Events(Channel::soft(subject, SoftAttributes { deadline, validity: validity.max(deadline) }))
+}
+
+fn messages(subject: Subject, validity: Option<time::Duration>) -> Declared {
+    Declared::Messages(ByteMessages::new(subject, least(validity)))
+}
+
+const fn least(validity: Option<time::Duration>) -> NonRealTimeAttributes {
+    NonRealTimeAttributes { importance: Importance::LEAST, validity }
 }
 
 /// `cosmic pub`
 pub(super) async fn publish(context: &mut Context, options: &Publish) -> Result<ExitCode, Failure> {
     let given = |subject| match options.class {
+        _ if options.messages => messages(subject, options.validity),
         Class::Srt => {
             let deadline = options.deadline.unwrap_or(DEADLINE);
             soft(subject, deadline, options.validity.unwrap_or(4 * deadline))
         }
-        Class::Nrt => {
-            let attributes =
-                NonRealTimeAttributes { importance: Importance::LEAST, validity: options.validity };
-            Channel::non_real_time(subject, attributes)
-        }
+        Class::Nrt => Declared::Events(Channel::non_real_time(subject, least(options.validity))),
     };
     let (channel, at) = channel(context.plan.as_ref(), &options.channel, options.etag, given)?;
     let content = content(context.plan.as_ref().zip(at), &options.content)?;
+    let [published, sent, expired] = match channel {
+        Declared::Events(channel) => publish_events(context, options, &channel, event_of(&content)?).await?,
+        Declared::Messages(channel) => publish_messages(context, options, &channel, &content).await?,
+    };
+    if context.output.json() {
+        let told = serde_json::json!({ "published": published, "sent": sent, "expired": expired });
+        context.output.value(&told)?;
+    } else {
+        eprintln!("cosmic: {published} published, {sent} sent, {expired} expired");
+    }
+    Ok(if sent == options.count { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
+}
+
+/// How many were published, sent, and expired.
+async fn publish_events(
+    context: &Context,
+    options: &Publish,
+    channel: &Channel<Payload>,
+    content: Payload,
+) -> Result<[u64; 3], Failure> {
     let node = start(context, &options.identity, None).await?;
-    let publisher = node.announce(&channel).map_err(|error| Failure::input(error.to_string()))?;
+    let publisher = node.announce(channel).map_err(|error| Failure::input(error.to_string()))?;
     named(&options.identity, publisher.bound()).await?;
     let mut published = 0;
-    while published < options.count {
-        if published > 0 {
-            tokio::select! {
-                () = tokio::time::sleep(std_span(options.every)) => {}
-                _ = tokio::signal::ctrl_c() => break,
-            }
-        }
+    while published < options.count && goes_on(published, options).await {
         let mut event = cosmic_core::event_layer::Event::new(content);
         event.deadline = options.deadline.map(|deadline| node.now() + deadline);
         event.expires_at = options.validity.map(|validity| node.now() + validity);
@@ -245,33 +257,73 @@ pub(super) async fn publish(context: &mut Context, options: &Publish) -> Result<
     }
     concluded(&node, channel.subject()).await;
     let counters = node.channel_counters(channel.subject()).unwrap_or_default();
-    if context.output.json() {
-        let told = serde_json::json!({ "published": counters.published, "sent": counters.sent,
-            "expired": counters.discarded });
-        context.output.value(&told)?;
-    } else {
-        eprintln!(
-            "cosmic: {} published, {} sent, {} expired",
-            counters.published, counters.sent, counters.discarded
-        );
+    Ok([counters.published, counters.sent, counters.discarded].map(u64::from))
+}
+
+async fn publish_messages(
+    context: &Context,
+    options: &Publish,
+    channel: &ByteMessages,
+    content: &[u8],
+) -> Result<[u64; 3], Failure> {
+    if options.deadline.is_some() {
+        return Err(Failure::input("a message is non real-time: leave out --deadline"));
     }
-    Ok(if u64::from(counters.sent) == options.count { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
+    let content = Bytes::new(content).ok_or_else(|| {
+        Failure::input(format!(
+            "the content has {} bytes; a message has up to {LONGEST_MESSAGE}",
+            content.len()
+        ))
+    })?;
+    let node = start(context, &options.identity, None).await?;
+    let publisher = node.announce_messages(channel).map_err(|error| Failure::input(error.to_string()))?;
+    named(&options.identity, publisher.bound()).await?;
+    let mut published = 0;
+    while published < options.count && goes_on(published, options).await {
+        let taken = publisher.publish_within(&content, options.validity);
+        taken.map_err(|error| Failure::input(error.to_string()))?;
+        published += 1;
+        if !within_longest_wait(|| publisher.is_idle()).await {
+            break;
+        }
+    }
+    let unsent = u64::from(publisher.discarded()) + u64::from(!publisher.is_idle());
+    Ok([published, published - unsent, u64::from(publisher.discarded())])
+}
+
+/// Waits for the time of the next event, if there was one before. `false`: the user has had enough.
+async fn goes_on(published: u64, options: &Publish) -> bool {
+    if published == 0 {
+        return true;
+    }
+    tokio::select! {
+        () = tokio::time::sleep(std_span(options.every)) => true,
+        _ = tokio::signal::ctrl_c() => false,
+    }
 }
 
 /// Waits until all that was published was sent or has expired.
 pub(super) async fn concluded(node: &Node, subject: Subject) {
+    within_longest_wait(|| {
+        let counters = node.channel_counters(subject).unwrap_or_default();
+        counters.published == counters.sent + counters.discarded
+    })
+    .await;
+}
+
+/// Waits until it holds, but not for ever. Returns whether it does.
+async fn within_longest_wait(holds: impl Fn() -> bool) -> bool {
     let until = tokio::time::Instant::now() + LONGEST_WAIT;
     loop {
-        let counters = node.channel_counters(subject).unwrap_or_default();
-        if counters.published == counters.sent + counters.discarded || tokio::time::Instant::now() >= until {
-            return;
+        if holds() || tokio::time::Instant::now() >= until {
+            return holds();
         }
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
 }
 
 /// The bytes of `field=value` for each field, or of hexadecimal digits.
-pub(super) fn content(planned: Option<(&SegmentPlan, usize)>, words: &[String]) -> Result<Payload, Failure> {
+pub(super) fn content(planned: Option<(&SegmentPlan, usize)>, words: &[String]) -> Result<Vec<u8>, Failure> {
     let pairs: Option<Vec<(&str, &str)>> = words.iter().map(|word| word.split_once('=')).collect();
     let bytes = match pairs.filter(|pairs| !pairs.is_empty()) {
         Some(pairs) => {
@@ -286,90 +338,30 @@ pub(super) fn content(planned: Option<(&SegmentPlan, usize)>, words: &[String]) 
                 .encode_text(&pairs)
                 .map_err(|why| Failure::input(format!("this is no {}: {why}", layout.name)))?
         }
-        None => cosmic_log::bytes_of(&words.concat()).ok_or_else(|| {
+        None => bytes_of(&words.concat()).ok_or_else(|| {
             Failure::input(
-                "the content is no bytes: write field=value for each field, or up to 16 hexadecimal digits",
+                "the content is no bytes: write field=value for each field, or pairs of hexadecimal digits",
             )
         })?,
     };
-    Payload::new(&bytes).ok_or_else(|| {
+    Ok(bytes)
+}
+
+/// The content of an event of one frame.
+pub(super) fn event_of(bytes: &[u8]) -> Result<Payload, Failure> {
+    Payload::new(bytes).ok_or_else(|| {
         Failure::input(format!(
-            "the content has {} bytes; this command publishes events of up to eight",
+            "the content has {} bytes; an event has up to eight, a message more: on a channel of messages (--messages)",
             bytes.len()
         ))
     })
 }
 
-/// `cosmic broker`
-pub(super) async fn broker(context: &mut Context, options: &Host) -> Result<ExitCode, Failure> {
-    let mut tables = BrokerTables::default();
-    if let Some(plan) = &context.plan {
-        let cluster = plan.cluster();
-        let node = |node: &cluster::Node| Some((NodeUid::new(node.uid)?, node.tx_node));
-        tables.nodes = cluster.nodes.iter().filter_map(node).collect();
-        let bound = |channel: &cluster::Channel| {
-            let etag = channel.etag.filter(|etag| !etag.is_hard())?;
-            Some((Subject::new(channel.subject)?, etag))
-        };
-        tables.subjects = cluster.channels.iter().filter_map(bound).collect();
-    }
-    let tx_node = options.identity.tx_node.unwrap_or(TxNode::MAX);
-    let identity = Identity { tx_node: Some(tx_node), ..options.identity.clone() };
-    let node = start(context, &identity, Some(tables)).await?;
-    let mut news = node.news();
-    let until = end_of(options.span);
-    let mut role = None;
-    loop {
-        let present = node.broker_role();
-        if role != present {
-            role = present;
-            let text = present.map_or("none".to_owned(), |role| format!("{role:?}").to_lowercase());
-            say(context, "role", &format!("the broker at TxNode {tx_node} is {text}"))?;
-        }
-        tokio::select! {
-            biased;
-            _ = tokio::signal::ctrl_c() => break,
-            () = sleep_until(until) => break,
-            told = news.recv() => if let Ok(told) = told { tell(context, told)? },
-            () = tokio::time::sleep(ROLE) => {}
-        }
-    }
-    Ok(ExitCode::SUCCESS)
-}
-
-fn tell(context: &mut Context, news: cosmic_core::services::News) -> Result<(), Failure> {
-    use cosmic_core::broker::BrokerEvent;
-    use cosmic_core::services::News;
-    let News::Broker(event) = news else { return Ok(()) };
-    let (kind, text) = match event {
-        BrokerEvent::Assigned { uid, tx_node } => ("assigned", format!("node {uid} has TxNode {tx_node}")),
-        BrokerEvent::Bound { subject, etag } => {
-            ("bound", format!("subject {subject} has etag {}", etag.get()))
-        }
-        BrokerEvent::NoIdLeft(uid) => ("refused", format!("no TxNode is left for node {uid}")),
-        BrokerEvent::NoEtagLeft(subject) => ("refused", format!("no etag is left for subject {subject}")),
-        BrokerEvent::Admitted { tx_node, etag } => {
-            ("admitted", format!("node {tx_node} publishes etag {}, which is not in the plan", etag.get()))
-        }
-        BrokerEvent::NotAdmitted { tx_node, etag, why } => {
-            ("not-admitted", format!("node {tx_node} may not publish etag {}: {why}", etag.get()))
-        }
-        BrokerEvent::ForeignBroker => (
-            "foreign-broker",
-            "another broker answers that does not say who it is: switch one of them off".to_owned(),
-        ),
-        _ => return Ok(()),
-    };
-    say(context, kind, &text)
-}
-
-fn say(context: &mut Context, kind: &str, text: &str) -> Result<(), Failure> {
-    if context.output.json() {
-        context.output.value(&serde_json::json!({ "event": kind, "text": text }))?;
-    } else {
-        context.output.line(text)?;
-    }
-    context.output.flush()
+/// Bytes in pairs of hexadecimal digits.
+fn bytes_of(text: &str) -> Option<Vec<u8>> {
+    let is_hexadecimal = text.len().is_multiple_of(2) && text.bytes().all(|digit| digit.is_ascii_hexdigit());
+    let pairs = || (0..text.len()).step_by(2).map(|at| u8::from_str_radix(&text[at..at + 2], 16).ok());
+    is_hexadecimal.then(pairs)?.collect()
 }
 
 /// Events that wait to be printed.
@@ -378,8 +370,6 @@ const QUEUE: u8 = 254;
 const DEADLINE: time::Duration = time::Duration::from_millis(20);
 /// Until what was published last must have been sent.
 const LONGEST_WAIT: Duration = Duration::from_secs(2);
-/// How often the role of the broker is looked at.
-const ROLE: Duration = Duration::from_millis(50);
 
 #[cfg(test)]
 mod tests {
@@ -388,9 +378,10 @@ mod tests {
     #[test]
     fn contents_are_bytes_or_fields() {
         let words = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
-        assert_eq!(content(None, &words(&["0A0B", "ff"])).ok(), Payload::new(&[0x0A, 0x0B, 0xFF]));
-        assert_eq!(content(None, &[]).ok(), Some(Payload::EMPTY));
-        for wrong in [&["1"][..], &["zz"], &["001122334455667788"], &["speed=1"]] {
+        assert_eq!(content(None, &words(&["0A0B", "ff"])).ok(), Some(vec![0x0A, 0x0B, 0xFF]));
+        assert_eq!(content(None, &[]).ok(), Some(Vec::new()));
+        assert!(event_of(&[0; 8]).is_ok() && event_of(&[0; 9]).is_err());
+        for wrong in [&["1"][..], &["zz"], &["+1"], &["é"], &["speed=1"]] {
             assert!(content(None, &words(wrong)).is_err(), "{wrong:?}");
         }
     }

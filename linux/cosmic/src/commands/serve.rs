@@ -163,7 +163,7 @@ async fn publish(
         return Err(Failure::input("only the segment of --link can be published on"));
     }
     let (channel, at) = part::soft_channel(context.plan.as_ref(), &request.channel)?;
-    let content = part::content(context.plan.as_ref().zip(at), &request.content)?;
+    let content = part::event_of(&part::content(context.plan.as_ref().zip(at), &request.content)?)?;
     let node = match node {
         Some(node) => node,
         None => node.insert(part::start(context, identity, None).await?),

@@ -131,6 +131,7 @@ class Node(_Closed):
         validity: float | None = None,
         importance: int | None = None,
         etag: int | None = None,
+        messages: bool = False,
     ) -> Subscription:
         """Subscribes to a channel, by its name in the cluster's file or by its subject.
 
@@ -142,7 +143,7 @@ class Node(_Closed):
         """
         if not 1 <= depth <= 255:
             raise ValueError(f"depth is {depth}: give 1 to 255")
-        quality = _quality(deadline, validity, importance, etag)
+        quality = _quality(deadline, validity, importance, etag, messages)
         return Subscription(self._native.subscribe(channel, 0 if latest else depth, quality))
 
     def announce(
@@ -153,16 +154,18 @@ class Node(_Closed):
         validity: float | None = None,
         importance: int | None = None,
         etag: int | None = None,
+        messages: bool = False,
     ) -> None:
         """Announces a channel, and waits until it can be published on.
 
         For a channel that no file describes: deadline and validity are those of soft real-time (20 ms, and four times
         the deadline, if they are not given); importance, 0 the most to 4, makes it non real-time; etag is the etag where
-        there is no broker.
+        there is no broker. messages: it is non real-time, and its events are messages of up to 1024 bytes, in as many
+        frames as that takes; all who use the channel say so.
 
         Raises ValueError, RefusedError (always for a hard real-time channel), NotBoundError.
         """
-        self._native.announce(channel, _quality(deadline, validity, importance, etag))
+        self._native.announce(channel, _quality(deadline, validity, importance, etag, messages))
 
     def publish(
         self,
@@ -176,7 +179,8 @@ class Node(_Closed):
 
         content: bytes, or a value for each field of the content in the cluster's file.
         deadline: until it should have been sent; validity: until it is of no use any more; as the channel says if they
-        are not given.
+        are not given. An event has up to 8 bytes; on a channel of messages, which have no deadline, up to 1024, and up to
+        8 messages wait behind the one that is being sent.
 
         Raises ValueError, NotPublishedError, and what :meth:`announce` raises.
         """
@@ -281,9 +285,15 @@ class Segment(_Closed):
 
 
 def _quality(
-    deadline: float | None, validity: float | None, importance: int | None, etag: int | None
+    deadline: float | None, validity: float | None, importance: int | None, etag: int | None, messages: bool
 ) -> dict[str, Any]:
-    return {"deadline": deadline, "validity": validity, "importance": importance, "etag": etag}
+    return {
+        "deadline": deadline,
+        "validity": validity,
+        "importance": importance,
+        "etag": etag,
+        "messages": messages,
+    }
 
 
 async def _readable(descriptor: int) -> None:
