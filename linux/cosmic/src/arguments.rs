@@ -257,7 +257,8 @@ impl FromStr for Also {
 
 #[derive(Args, Debug)]
 pub(crate) struct Record {
-    /// The log to write: pcapng if it ends in .pcapng, else as candump does; - for standard output.
+    /// The log to write: pcapng if it ends in .pcapng, else as candump does; - for standard output. It grows by up to half a
+    /// megabyte a second, until -n or --for ends it, or there is no room: what was written by then is whole.
     pub(crate) file: PathBuf,
     /// Ends after so many frames.
     #[arg(long, short = 'n')]

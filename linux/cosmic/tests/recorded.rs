@@ -205,6 +205,31 @@ fn a_log_that_is_cut_off_is_read_to_where_it_ends() {
     assert!(text(&output.stderr).contains("is cut off"), "{}", text(&output.stderr));
 }
 
+/// The kernel refuses to let the file grow, as it does when the disk is full.
+#[test]
+fn a_record_for_which_there_is_no_room_is_whole_up_to_there() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["small.log", "small.pcapng"] {
+        let path = folder.path().join(name);
+        let mut command = std::process::Command::new("sh");
+        command.args(["-c", r#"trap '' XFSZ; ulimit -f 16; exec "$0" "$@""#, env!("CARGO_BIN_EXE_cosmic")]);
+        command.arg("record").arg(&path).args(["-l", ROVER]).current_dir(common::root());
+        let output = command.output().unwrap();
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        assert!(said.contains("cannot be written: ") && said.contains("make room"), "{said}");
+        let room = std::fs::metadata(&path).unwrap().len();
+        assert!((8_000..=16 * 1024).contains(&room), "{room}");
+        // Nothing of it is cut off, and it is the beginning of the whole.
+        let all = printed(&["decode", "docs/tasks/rover.log"]);
+        let begin = printed(&["decode", path.to_str().unwrap()]);
+        assert!(begin.lines().count() > 100 && all.starts_with(&begin), "{name}");
+    }
+    let (code, said) = refused(&["record", "/dev/full", "-l", ROVER]);
+    assert!(code == 2 && said.contains("make room"), "{said}");
+}
+
 #[test]
 fn output_that_is_piped_has_no_colours() {
     for command in ["nodes", "channels", "doctor"] {

@@ -51,7 +51,7 @@ impl<R: BufRead> Reader<R> {
 }
 
 pub(crate) struct Writer<W> {
-    out: W,
+    pub(super) out: W,
 }
 
 impl<W: Write> Writer<W> {

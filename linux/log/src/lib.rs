@@ -6,6 +6,7 @@
 mod candump;
 mod heard;
 mod pcapng;
+mod sink;
 
 pub use heard::{Heard, LogTime, feed, learn_bindings};
 
@@ -17,6 +18,7 @@ use std::time::Duration;
 
 use cosmic_bus::WireFrame;
 use cosmic_linux::What;
+use sink::Sink;
 
 /// Something that was recorded.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -102,8 +104,8 @@ impl Iterator for Reader {
 pub struct Writer(WriterKind);
 
 enum WriterKind {
-    Candump(candump::Writer<Box<dyn io::Write>>),
-    Pcapng(pcapng::Writer<Box<dyn io::Write>>),
+    Candump(candump::Writer<Sink>),
+    Pcapng(pcapng::Writer<Sink>),
 }
 
 impl Writer {
@@ -113,16 +115,16 @@ impl Writer {
     /// It cannot be written there.
     pub fn create(path: &Path) -> Result<Self, LogError> {
         let name = path.display();
-        let out: Box<dyn io::Write> = if path.as_os_str() == "-" {
-            Box::new(io::stdout())
+        let out = if path.as_os_str() == "-" {
+            Sink::standard()
         } else {
             let failed =
                 |error| LogError::new(format!("{name} cannot be written: {error}; choose another place"));
-            Box::new(File::create(path).map_err(failed)?)
+            Sink::file(File::create(path).map_err(failed)?)
         };
-        let out: Box<dyn io::Write> = Box::new(io::BufWriter::with_capacity(1 << 16, out));
         if path.extension().is_some_and(|extension| extension == "pcapng") {
-            let writer = pcapng::Writer::new(out).map_err(written)?;
+            let mut writer = pcapng::Writer::new(out).map_err(written)?;
+            writer.out.end_entry().map_err(written)?;
             return Ok(Self(WriterKind::Pcapng(writer)));
         }
         Ok(Self(WriterKind::Candump(candump::Writer::new(out))))
@@ -131,11 +133,11 @@ impl Writer {
     /// Writes a frame that crossed the bus then.
     ///
     /// # Errors
-    /// There is no room, or nobody who reads it.
+    /// There is no room, or nobody who reads it. What was written before is a whole log then.
     pub fn write(&mut self, stamp: Duration, frame: &WireFrame) -> Result<(), LogError> {
         match &mut self.0 {
-            WriterKind::Candump(writer) => writer.write(stamp, frame),
-            WriterKind::Pcapng(writer) => writer.write(stamp, frame),
+            WriterKind::Candump(writer) => writer.write(stamp, frame).and_then(|()| writer.out.end_entry()),
+            WriterKind::Pcapng(writer) => writer.write(stamp, frame).and_then(|()| writer.out.end_entry()),
         }
         .map_err(written)
     }
@@ -158,6 +160,8 @@ fn written(error: io::Error) -> LogError {
         io::ErrorKind::BrokenPipe => {
             LogError { text: "nobody reads what is written any more".to_owned(), is_closed: true }
         }
-        _ => LogError::new(format!("the log cannot be written: {error}; make room, or choose another place")),
+        _ => LogError::new(format!(
+            "the log cannot be written: {error}; what was written before is whole; make room, or choose another place"
+        )),
     }
 }

@@ -137,7 +137,7 @@ fn parse(packet: &[u8]) -> Option<What> {
 }
 
 pub(crate) struct Writer<W> {
-    out: W,
+    pub(super) out: W,
 }
 
 impl<W: Write> Writer<W> {
