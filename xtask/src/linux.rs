@@ -1,15 +1,12 @@
 //! The crates under `linux/`, whose dependencies no other crate needs.
 
-use std::path::PathBuf;
-use std::process::Command;
-
-use anyhow::{Context as _, Result, bail};
+use anyhow::Result;
 
 use crate::cargo_test::cargo_test;
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
 use crate::tally::Tally;
-use crate::target;
+use crate::venv;
 use crate::workspace::Workspace;
 
 const PACKAGES: &[&str] = &[
@@ -30,7 +27,7 @@ const PACKAGES: &[&str] = &[
 /// one or it may be installed.
 pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
     setup::install_tools(&[Tool::Compiler])?;
-    let python = python_can(workspace)?;
+    let python = venv::prepare(&workspace.target_dir().join("python-can"), &PYTHON_CAN)?;
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast"]).args(PACKAGES);
     command.args(["--", "--include-ignored"]).env("COSMIC_PYTHON", python);
@@ -69,32 +66,7 @@ pub(crate) fn check(workspace: &Workspace) -> Result<Tally> {
     Ok(Tally::default())
 }
 
-/// A Python that has python-can, of a fixed version, in an environment of its own among the build products.
-fn python_can(workspace: &Workspace) -> Result<PathBuf> {
-    let folder = workspace.target_dir().join("python-can");
-    let python = folder.join("bin/python");
-    let has_it = || {
-        let mut command = Command::new(&python);
-        command.args(["-c", &format!("import can, serial; assert can.__version__ == '{VERSION}'")]);
-        command.output().is_ok_and(|output| output.status.success())
-    };
-    if has_it() {
-        return Ok(python);
-    }
-    if target::find_program("python3").is_none() {
-        bail!("python3 is not found: install Debian's `python3` and `python3-venv`");
-    }
-    step("installing python-can", || {
-        let mut make = Command::new("python3");
-        run::run(make.args(["-m", "venv", "--clear"]).arg(&folder))
-            .context("Python cannot make an environment: install Debian's `python3-venv`")?;
-        let mut install = Command::new(&python);
-        install.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]);
-        run::run(install.args([&format!("python-can=={VERSION}"), "pyserial==3.5"]))
-    })?;
-    if has_it() { Ok(python) } else { bail!("python-can was installed, but cannot be used") }
-}
-
-const VERSION: &str = "4.6.1";
+/// With it a node exchanges frames, as with a client that others wrote.
+const PYTHON_CAN: [&str; 2] = ["python-can==4.6.1", "pyserial==3.5"];
 /// Tells the tests of the page to insist on a browser.
 const BROWSER: &str = "COSMIC_BROWSER";

@@ -23,7 +23,6 @@ mod plan;
 mod program;
 mod python;
 mod qemu;
-mod relink;
 mod run;
 mod setup;
 mod size;
@@ -32,6 +31,7 @@ mod suite;
 mod tally;
 mod target;
 mod tools;
+mod venv;
 mod walk;
 mod workspace;
 

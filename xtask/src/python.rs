@@ -7,20 +7,19 @@ use std::process::Command;
 use anyhow::{Context as _, Result, bail};
 
 use crate::run::{self, step};
-use crate::setup::{self, Tool};
 use crate::tally::Tally;
+use crate::venv;
 use crate::workspace::Workspace;
 
 /// Builds the wheel, installs it as a user would, and runs its tests; the types are checked, too. Counts as one test for
 /// each of these, since pytest counts its own.
 pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
-    setup::install_tools(&[Tool::Python])?;
     let folder = workspace.target_dir().join("python");
-    let python = environment(&folder.join("venv"))?;
+    let python = venv::prepare(&folder.join("venv"), &PACKAGES)?;
     let package = workspace.root().join("linux/python");
     let wheel = step("building the wheel", || build(&python, &package, &folder))?;
     step("installing the wheel", || {
-        let mut install = pip(&python);
+        let mut install = venv::pip(&python);
         run::run(install.args(["install", "--quiet", "--force-reinstall", "--no-deps"]).arg(wheel))
     })?;
     let mut tally = Tally::default();
@@ -58,24 +57,6 @@ pub(crate) fn check(workspace: &Workspace) -> Result<Tally> {
     Ok(Tally::default())
 }
 
-/// A Python with the packages that building and testing need, of fixed versions.
-fn environment(folder: &Path) -> Result<PathBuf> {
-    let python = folder.join("bin/python");
-    let stamp = folder.join("cosmic-packages");
-    let wanted = PACKAGES.join("\n");
-    if fs::read_to_string(&stamp).is_ok_and(|present| present == wanted) {
-        return Ok(python);
-    }
-    step("installing maturin, pytest, pandas, matplotlib, nbclient and mypy", || {
-        run::run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(folder))
-            .context("Python cannot make an environment: install Debian's `python3-venv`")?;
-        run::run(pip(&python).args(["install", "--quiet"]).args(PACKAGES))
-            .with_context(|| format!("type `{} -m pip install {}`", python.display(), PACKAGES.join(" ")))
-    })?;
-    fs::write(&stamp, wanted).with_context(|| format!("{} cannot be written", stamp.display()))?;
-    Ok(python)
-}
-
 /// Builds the wheel, and finds it.
 fn build(python: &Path, package: &Path, folder: &Path) -> Result<PathBuf> {
     let out = folder.join("wheels");
@@ -91,17 +72,12 @@ fn build(python: &Path, package: &Path, folder: &Path) -> Result<PathBuf> {
     found.map_or_else(|| bail!("maturin has left no wheel in {}", out.display()), Ok)
 }
 
-fn pip(python: &Path) -> Command {
-    let mut pip = Command::new(python);
-    pip.args(["-m", "pip", "--disable-pip-version-check"]);
-    pip
-}
-
 /// As the tests need them; pyproject.toml says what a user needs to build.
-const PACKAGES: [&str; 8] = [
+const PACKAGES: [&str; 9] = [
     "maturin==1.16.0",
     "pytest==9.2.0",
     "pandas==3.1.1",
+    "polars==2.1.0",
     "matplotlib==3.11.2",
     "nbclient==0.11.0",
     "nbformat==5.11.1",

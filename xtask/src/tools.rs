@@ -1,13 +1,12 @@
 //! Tries what `cosmic-plan export` writes with programs of others: a C compiler, Python with cantools, Wireshark.
 
-use std::process::Command;
-
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 
 use crate::cargo_test::cargo_test;
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
 use crate::tally::Tally;
+use crate::venv;
 use crate::workspace::Workspace;
 
 /// Installs the programs where it may, and runs the tests of all that is generated from contents. A program that is
@@ -39,21 +38,8 @@ fn records(workspace: &Workspace) -> Result<Tally> {
 /// # Errors
 /// What is missing and cannot be installed here, and what to type.
 pub(crate) fn prepare(workspace: &Workspace) -> Result<()> {
-    setup::install_tools(&[Tool::Compiler, Tool::Tshark, Tool::Python])?;
-    let folder = workspace.target_dir().join("tools");
-    let python = folder.join("bin/python");
-    let is_there = |program| {
-        let output = Command::new(program).args(["-c", "import cantools, can"]).output();
-        output.is_ok_and(|output| output.status.success())
-    };
-    if is_there(&python) {
-        return Ok(());
-    }
-    step("installing cantools", || {
-        run::run(Command::new("python3").args(["-m", "venv"]).arg(&folder))?;
-        run::run(Command::new(&python).args(["-m", "pip", "install", "--quiet"]).args(PACKAGES))
-    })
-    .with_context(|| format!("type `{} -m pip install {}`", python.display(), PACKAGES.join(" ")))
+    setup::install_tools(&[Tool::Compiler, Tool::Tshark])?;
+    venv::prepare(&workspace.target_dir().join("tools"), &PACKAGES).map(|_| ())
 }
 
 /// Tells the tests to insist on the programs.

@@ -8,10 +8,10 @@ use std::process::{self, Command};
 
 use anyhow::{Context as _, Result, bail, ensure};
 
+use crate::apps;
 use crate::demo;
 use crate::images::PROFILE;
 use crate::plan;
-use crate::relink;
 use crate::run::step;
 use crate::setup;
 use crate::tally::Tally;
@@ -28,7 +28,7 @@ pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
     let mut tally = step("walking from one file to every tool", || walk.go());
     if let Ok(tally) = &mut tally {
         tally.add(elf_files(workspace, &way, &rover));
-        tally.add(relink::written_again(workspace, &way, &rover));
+        tally.add(written_again(workspace, &way, &rover));
     }
     // What a test leaves behind is no failure.
     let _ = fs::remove_dir_all(&rover);
@@ -159,6 +159,28 @@ fn elf_files(workspace: &Workspace, way: &TargetWay, rover: &Path) -> Result<Tal
     arguments.push(format!("power={}", other.display()));
     let code = demo::run(workspace, &arguments)?;
     Ok(Tally::one((without, code) == (2, 0)))
+}
+
+/// A description that was written again, but is the same, is no reason to build; one that has changed is, though it is
+/// as old as before.
+fn written_again(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally> {
+    let cluster = plan::find(folder.join(plan::OF_A_REPOSITORY))?;
+    let old = fs::metadata(&cluster)?.modified()?;
+    let text = fs::read_to_string(&cluster).with_context(|| format!("reading {}", cluster.display()))?;
+    let build = || apps::build(way, folder, &cluster, Some(workspace.target_dir()));
+    fs::write(&cluster, &text).with_context(|| format!("writing {}", cluster.display()))?;
+    let compiled = build()?.compiled;
+    if compiled > 0 {
+        eprintln!("error: {compiled} images were built again for a description that has not changed");
+    }
+    fs::write(&cluster, text.replacen("\nperiod = ", "\nperoid = ", 1))
+        .with_context(|| format!("writing {}", cluster.display()))?;
+    fs::File::options().write(true).open(&cluster)?.set_modified(old)?;
+    let is_seen = build().is_err();
+    if !is_seen {
+        eprintln!("error: a description that has changed was not planned again");
+    }
+    Ok(Tally::one(compiled == 0 && is_seen))
 }
 
 /// The lines of its blocks of shell.
