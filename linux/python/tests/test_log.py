@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 
 import pandas
+import polars
 import pytest
 from conftest import CLUSTER, ROOT
 
@@ -34,6 +35,16 @@ def test_the_events_of_a_channel() -> None:
     assert frame["speed"].dtype == float and frame["stalled"].dtype == bool
     same = cosmic_can.read_log(LOG, cluster=CLUSTER, channel=0xB0A01C0000000002)
     assert pandas.DataFrame(same).equals(frame)
+
+
+def test_polars_takes_the_same_columns(tmp_path: Path) -> None:
+    rover = ROOT / "docs/tasks/rover.log"
+    for log, channel in [(LOG, None), (LOG, "left_wheel"), (rover, "journal"), (rover, "gripper")]:
+        columns = cosmic_can.read_log(log, cluster=CLUSTER, channel=channel)
+        frame = polars.DataFrame(columns)
+        assert frame.to_dict(as_series=False) == columns and frame.columns == list(pandas.DataFrame(columns))
+        assert frame["time"].dtype == polars.Float64 and frame["tx_node"].dtype == polars.Int64
+    assert frame["force"].dtype == polars.Float64 and set(frame["state"]) == {"holding"}
 
 
 def test_without_a_file_of_the_cluster() -> None:
