@@ -20,7 +20,7 @@ use object::{Object as _, ObjectSection as _, SectionFlags, SectionKind, elf};
 use serde::{Deserialize, Serialize};
 
 use crate::images::{self, Images};
-use crate::program::Program;
+use crate::program::{Function, Program};
 use crate::run::step;
 use crate::workspace::Workspace;
 use baseline::Baseline;
@@ -31,7 +31,7 @@ pub(crate) struct Options {
     /// Write the sizes as JSON to standard output.
     #[arg(long)]
     json: bool,
-    /// Show whose each byte of code is.
+    /// Show whose each byte of code is, and the largest functions.
     #[arg(long, conflicts_with = "json")]
     owners: bool,
     /// Fail if an image has outgrown the baseline in firmware/size-baseline.json.
@@ -72,7 +72,9 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<()> {
     }
     if options.owners {
         for (name, path) in &images {
-            print!("\n{name}\n{}", owners_table(&attribution::owners(&Program::read(path)?)));
+            let program = Program::read(path)?;
+            print!("\n{name}\n{}", owners_table(&attribution::owners(&program)));
+            print!("{}", functions_table(&program));
         }
     }
     if options.update {
@@ -182,6 +184,18 @@ fn owners_table(owners: &BTreeMap<String, u64>) -> String {
     text
 }
 
+/// The largest functions, with what was inlined into them.
+fn functions_table(program: &Program) -> String {
+    let size = |function: &Function| function.end.saturating_sub(function.start);
+    let mut functions: Vec<_> = program.functions.iter().collect();
+    functions.sort_by_key(|function| std::cmp::Reverse(size(function)));
+    let line = |function: &&Function| format!("  {:>7}  {}\n", size(function), function.name);
+    functions.iter().take(LARGEST).map(line).collect()
+}
+
+/// Functions that are shown.
+const LARGEST: usize = 12;
+
 fn percent(part: u64, whole: u64) -> String {
     if whole == 0 {
         return "-".to_owned();
@@ -203,6 +217,16 @@ mod tests {
         assert_eq!(Kept::of(writable, true), Kept { in_flash: true, in_ram: true });
         assert_eq!(Kept::of(writable, false), Kept { in_flash: false, in_ram: true });
         assert_eq!(Kept::of(0, true), Kept { in_flash: false, in_ram: false });
+    }
+
+    #[test]
+    fn the_largest_functions_come_first() {
+        let functions: Vec<_> = (1..=7).map(|halfwords| vec![0_u16; halfwords]).collect();
+        let names = ["a", "b", "c", "d", "e", "f", "g"];
+        let program = Program::of_parts(&names.into_iter().zip(functions).collect::<Vec<_>>(), &[]);
+        let table = functions_table(&program);
+        assert_eq!(table.lines().next(), Some("       14  g"));
+        assert_eq!(table.lines().last(), Some("        2  a"));
     }
 
     #[test]
