@@ -11,6 +11,7 @@ use std::time::Duration as Span;
 use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::{NodeUid, Subject};
 use cosmic_linux::{BrokerTables, Node};
+use cosmic_plan::document::file::read_text;
 use serde::{Deserialize, Serialize};
 
 /// The table of a broker on disk.
@@ -47,7 +48,7 @@ impl Table {
     /// The file cannot be read or written, or is no table.
     pub fn open(path: &Path) -> Result<Self, TableError> {
         let wrong = |what: String| TableError(format!("the table of the broker, {}, {what}", path.display()));
-        let contents = match std::fs::read_to_string(path) {
+        let contents = match read_text(path) {
             Ok(text) => read(&text).map_err(|why| {
                 wrong(format!("is of no use: {why}; move it away to begin with an empty one"))
             })?,

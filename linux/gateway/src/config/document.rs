@@ -52,10 +52,10 @@ impl Reader<'_> {
 
     fn config(&self, root: &Node) -> Option<Config> {
         let table = self.table(root, "");
-        let network = values::required(&table, "network", values::name, WRITE_NAME);
-        let address = |text: &String| text.parse().ok();
+        let network = values::required_text(&table, "network", values::name, WRITE_NAME);
+        let address = |text: &str| text.parse().ok();
         let metrics =
-            values::optional(&table, "metrics", address, "write an address, such as \"127.0.0.1:9464\"");
+            values::optional_text(&table, "metrics", address, "write an address, such as \"127.0.0.1:9464\"");
         let ip = table.node("ip").map_or_else(Ip::default, |node| ip::read(self, &self.table(node, "ip")));
         let channels = table.entries("channel", channel::read);
         let segments = table.entries("segment", |table| segment::read(self, table, &channels));

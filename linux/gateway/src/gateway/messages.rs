@@ -30,7 +30,7 @@ impl Assembly {
     /// A frame of the channel has come. Returns the message that it completes; counts what was given up.
     pub(super) fn on_frame(&mut self, event: &Delivered<Payload>, counters: &Counters) -> Option<Leaving> {
         let (publisher, received_at) = (event.publisher, event.received_at);
-        // Of which messages are told apart by publisher: of those there are as many as identifiers have room for.
+        // One entry for each publisher: there are no more of them than identifiers have room for.
         if event.content.as_slice().first().is_some_and(|header| header & FIRST != 0) {
             self.begun.insert(publisher, received_at);
         }

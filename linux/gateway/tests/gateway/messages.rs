@@ -85,7 +85,7 @@ impl Bed {
         count(&self.pair.of_west, "west", Direction::Out, outcome)
     }
 
-    fn into_east(&self, outcome: Outcome) -> u64 {
+    fn of_east(&self, outcome: Outcome) -> u64 {
         count(&self.pair.of_east, "east", Direction::In, outcome)
     }
 
@@ -134,7 +134,7 @@ async fn what_is_not_whole_too_long_or_too_old_does_not_cross_and_is_counted() {
     bed.fragmenters[0].on_discarded();
     bed.send([Some(&[1; 201]), None]).await;
     until("both are counted", || {
-        (bed.out_of_west(Outcome::Incomplete), bed.into_east(Outcome::TooLong)) == (1, 1)
+        (bed.out_of_west(Outcome::Incomplete), bed.of_east(Outcome::TooLong)) == (1, 1)
     })
     .await;
     // The rest of a message of which the begin is not there.

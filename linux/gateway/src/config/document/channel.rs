@@ -27,17 +27,18 @@ pub(super) struct Read {
 
 pub(super) fn read(table: &Table<'_>) -> Read {
     let name = table.required::<String>("name", "write what it is called in logs and metrics");
-    let is_free = |text: &String| {
+    let is_free = |text: &str| {
         let subject = Subject::new(values::hexadecimal(text)?)?;
         (subject != Subject::RESERVED && subject != GATEWAYS).then_some(subject)
     };
     let write = "write up to 16 hexadecimal digits, not zero and none of the middleware's own";
-    let subject = values::required(table, "subject", is_free, write);
-    let class = values::required(table, "class", read_class, "write \"soft\", \"non-real-time\" or \"hard\"");
+    let subject = values::required_text(table, "subject", is_free, write);
+    let class =
+        values::required_text(table, "class", read_class, "write \"soft\", \"non-real-time\" or \"hard\"");
     let times = read_times(table, class.as_ref());
     let importance =
         values::optional(table, "importance", |rank: &u8| Importance::new(*rank), "write 0 (the most) to 4");
-    let interval = values::required(table, "interval", values::read_span, WRITE_SPAN);
+    let interval = values::required_text(table, "interval", values::read_span, WRITE_SPAN);
     let burst =
         values::optional(table, "burst", |burst: &u8| Some(*burst).filter(|it| *it > 0), "write 1 to 255");
     let longest_message = read_longest_message(table, class.as_ref());
@@ -80,8 +81,8 @@ pub(super) fn read(table: &Table<'_>) -> Read {
     Read { name, subject, channel, from, to, path }
 }
 
-fn read_class(text: &String) -> Option<Class> {
-    match text.as_str() {
+fn read_class(text: &str) -> Option<Class> {
+    match text {
         "hard" => Some(Class::Hard),
         "soft" => Some(Class::Soft),
         "non-real-time" => Some(Class::NonRealTime),

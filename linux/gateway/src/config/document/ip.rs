@@ -7,13 +7,13 @@ use super::Reader;
 use super::values::{self, WRITE_NAME};
 
 pub(super) fn read(reader: &Reader<'_>, table: &Table<'_>) -> Ip {
-    let mode = |text: &String| match text.as_str() {
+    let mode = |text: &str| match text {
         "router" => Some(Mode::Router),
         "peer" => Some(Mode::Peer),
         "client" => Some(Mode::Client),
         _ => None,
     };
-    let mode = values::optional(table, "mode", mode, "write \"router\", \"peer\" or \"client\"");
+    let mode = values::optional_text(table, "mode", mode, "write \"router\", \"peer\" or \"client\"");
     let tls = table.node("tls").map(|node| reader.table(node, table.path_of("tls")));
     let tls = tls.map(|table| read_tls(reader, &table));
     let (listen, connect) =
@@ -25,10 +25,10 @@ pub(super) fn read(reader: &Reader<'_>, table: &Table<'_>) -> Ip {
 }
 
 fn endpoints(table: &Table<'_>, field: &'static str, has_certificates: bool) -> Vec<String> {
-    let is_one = |text: &String| {
+    let is_one = |text: &str| {
         let known = text.starts_with("tls/") || text.starts_with("tcp/");
         let has_port = text.rsplit_once(':').is_some_and(|(_, port)| port.parse::<u16>().is_ok());
-        (known && has_port).then(|| text.clone())
+        (known && has_port).then(|| text.to_owned())
     };
     let all = values::list(table, field, is_one, "write \"tcp/HOST:PORT\" or \"tls/HOST:PORT\"");
     for at in all.iter().filter(|at| !has_certificates && at.value.starts_with("tls/")) {

@@ -27,14 +27,14 @@ pub(super) struct Read {
 }
 
 pub(super) fn read(reader: &Reader<'_>, table: &Table<'_>, channels: &[ChannelRead]) -> Read {
-    let name = values::required(table, "name", values::name, WRITE_NAME);
-    let is_two_way = |text: &String| text.parse().ok().filter(|link| !matches!(link, LinkAddress::Log(_)));
+    let name = values::required_text(table, "name", values::name, WRITE_NAME);
+    let is_two_way = |text: &str| text.parse().ok().filter(|link| !matches!(link, LinkAddress::Log(_)));
     let write = format!("write {} (a log cannot be published to)", ADDRESSES.replace(" or log:FILE", ""));
-    let link = values::required(table, "link", is_two_way, &write);
-    let uid = |text: &String| NodeUid::new(values::hexadecimal(text)?);
+    let link = values::required_text(table, "link", is_two_way, &write);
+    let uid = |text: &str| NodeUid::new(values::hexadecimal(text)?);
     let write = "write the 64-bit name of the gateway's node in this segment, up to 16 hexadecimal digits and not zero, \
                  such as uid = \"0x6A7E0001\"";
-    let uid = values::required(table, "uid", uid, write);
+    let uid = values::required_text(table, "uid", uid, write);
     let tx_node = |number: &u8| TxNode::new(*number).filter(|node| *node != TxNode::BROKER);
     let tx_node = values::optional(table, "tx-node", tx_node, "write a number from 0 to 126");
     let broker = table.optional::<String>("broker");
@@ -85,8 +85,8 @@ fn read_bit_rate(table: &Table<'_>, plan: Option<&SegmentPlan>) -> Option<BitRat
         table.refuse("bit-rate", "the plan states it", "leave it out here");
         return Some(plan.bit_rate());
     }
-    let read = |text: &String| BitRate::new(units::parse_bits_per_second(text)?);
-    let bit_rate = values::optional(table, "bit-rate", read, "write a rate from 10 kbit/s to 1 Mbit/s");
+    let read = |text: &str| BitRate::new(units::parse_bits_per_second(text)?);
+    let bit_rate = values::optional_text(table, "bit-rate", read, "write a rate from 10 kbit/s to 1 Mbit/s");
     if table.stands("bit-rate") { bit_rate.map(|at| at.value) } else { Some(BitRate::MAX) }
 }
 

@@ -18,24 +18,38 @@ pub(super) fn optional<T: FromNode + Debug, R>(
     checked(table, field, table.optional(field)?, read, write)
 }
 
-/// What a field says, which must stand there.
-pub(super) fn required<T: FromNode + Debug, R>(
+/// What a text says, if it stands there.
+pub(super) fn optional_text<R>(
     table: &Table<'_>,
     field: &'static str,
-    read: impl FnOnce(&T) -> Option<R>,
+    read: impl FnOnce(&str) -> Option<R>,
     write: &str,
 ) -> Option<At<R>> {
-    checked(table, field, table.required(field, write)?, read, write)
+    optional(table, field, |text: &String| read(text), write)
+}
+
+/// What a text says, which must stand there.
+pub(super) fn required_text<R>(
+    table: &Table<'_>,
+    field: &'static str,
+    read: impl FnOnce(&str) -> Option<R>,
+    write: &str,
+) -> Option<At<R>> {
+    checked(table, field, table.required(field, write)?, |text: &String| read(text), write)
 }
 
 /// What the items of a list say; empty if it does not stand there.
 pub(super) fn list<R>(
     table: &Table<'_>,
     field: &'static str,
-    read: impl Fn(&String) -> Option<R>,
+    read: impl Fn(&str) -> Option<R>,
     write: &str,
 ) -> Vec<At<R>> {
-    table.list(field).into_iter().filter_map(|at| checked(table, field, at, &read, write)).collect()
+    table
+        .list(field)
+        .into_iter()
+        .filter_map(|at| checked(table, field, at, |text: &String| read(text), write))
+        .collect()
 }
 
 /// What stands there as it is to be used, or a problem.
@@ -53,7 +67,7 @@ pub(super) fn checked<T: Debug, R>(
     value.map(|value| At { value, place: at.place })
 }
 
-pub(super) fn name(text: &String) -> Option<Name> {
+pub(super) fn name(text: &str) -> Option<Name> {
     Name::new(text)
 }
 
@@ -61,10 +75,10 @@ pub(super) const WRITE_NAME: &str = "write 1 to 32 of a-z, 0-9, '-' and '_', suc
 
 /// A span that is not zero.
 pub(super) fn span(table: &Table<'_>, field: &'static str) -> Option<At<Duration>> {
-    optional(table, field, read_span, WRITE_SPAN)
+    optional_text(table, field, read_span, WRITE_SPAN)
 }
 
-pub(super) fn read_span(text: &String) -> Option<Duration> {
+pub(super) fn read_span(text: &str) -> Option<Duration> {
     units::parse_span(text).filter(|span| !span.is_zero())
 }
 

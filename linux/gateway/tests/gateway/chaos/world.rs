@@ -238,11 +238,11 @@ impl World {
 
     /// Waits until commands and reports of now cross.
     async fn crosses(&self) {
-        for at in 0..2 {
-            let from = content(TAGS[at], self.published[at].lock().unwrap().len());
-            let is_new = |far: &Far| far.content >= from && far.content >> 24 == u32::from(TAGS[at]);
-            // Commands are heard in the east, reports in the west.
-            until("it crosses", || self.heard[1 - at].lock().unwrap().iter().any(is_new)).await;
+        // Commands are heard in the east, reports in the west.
+        for ((tag, published), heard) in TAGS.iter().zip(&self.published).zip(self.heard.iter().rev()) {
+            let from = content(*tag, published.lock().unwrap().len());
+            let is_new = |far: &Far| far.content >= from && far.content >> 24 == u32::from(*tag);
+            until("it crosses", || heard.lock().unwrap().iter().any(is_new)).await;
         }
     }
 
