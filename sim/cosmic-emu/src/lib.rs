@@ -46,6 +46,7 @@ mod clock;
 mod cluster;
 mod cpu;
 mod exception;
+mod hardware;
 mod image;
 mod log;
 mod memory;

@@ -13,15 +13,15 @@ use cosmic_core::time::Duration;
 use fugit::HertzU32;
 
 use crate::clock::ClockError;
-use crate::cpu::{Cpu, Interpreter, Io, MaskedAt, Pace, Register, Stop};
+use crate::cpu::{Cpu, MaskedAt, Pace, Stop};
 use crate::exception::{self, ENTRY_CYCLES, RETURN_CYCLES, TAIL_CHAIN_CYCLES};
+use crate::hardware::{self, Hardware, power_on};
 use crate::image::{Image, LoadError};
 use crate::log::LogDecoder;
-use crate::memory;
 use crate::observation::{Masked, ObservationKind, Pin, Place, ResetCause, StopReason};
 use crate::rtt::Rtt;
 use crate::soc::can::{CanController, Command, Outcome};
-use crate::soc::{HappeningKind, System, Wiring, number};
+use crate::soc::{HappeningKind, System, number};
 
 /// Where a node's firmware comes from.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -150,7 +150,8 @@ impl Node {
     /// Resets the node: RAM keeps what is in it, and RCC says why.
     pub(crate) fn reset(&mut self, at: VirtualInstant, cause: ResetCause) {
         self.drain();
-        let new = reset(&self.config, &self.image, at, self.cpu.as_ref(), &self.system.borrow(), cause);
+        let new =
+            hardware::reset(&self.config, &self.image, at, self.cpu.as_ref(), &self.system.borrow(), cause);
         self.start_again(new, at);
     }
 
@@ -515,68 +516,4 @@ const DEFMT_CHANNEL: &str = "defmt";
 fn start_of(frame: &WireFrame, received_at: VirtualInstant, bit_time: Duration) -> VirtualInstant {
     let length = bit_time.as_ticks() * u64::from(frame.bit_count() - 1);
     VirtualInstant::from_ticks(received_at.as_ticks().saturating_sub(length))
-}
-
-type Hardware = (Box<dyn Cpu>, Rc<Pace>, Rc<RefCell<System>>);
-
-/// A part that is switched on at `at`.
-fn power_on(config: &NodeConfig, image: &Image, at: VirtualInstant) -> Hardware {
-    let pace = Rc::new(Pace::default());
-    let system = System::new(&pace, at, wiring(config));
-    let (mut cpu, pace, system) = out_of_reset(config, image, pace, system);
-    // Does not fail: the loader has checked that there is RAM.
-    for (address, bytes) in &image.ram {
-        let _ = cpu.write_memory(*address, bytes);
-    }
-    (cpu, pace, system)
-}
-
-/// A part that is reset at `at`.
-fn reset(
-    config: &NodeConfig,
-    image: &Image,
-    at: VirtualInstant,
-    cpu: &dyn Cpu,
-    system: &System,
-    cause: ResetCause,
-) -> Hardware {
-    let pace = Rc::new(Pace::default());
-    let system = system.reset(&pace, at, wiring(config), cause);
-    let (mut new, pace, system) = out_of_reset(config, image, pace, system);
-    for region in [memory::RAM, memory::CCM] {
-        let mut content = vec![0; region.size as usize];
-        // Neither fails: both cores have both.
-        let _ = cpu.read_memory(region.base, &mut content);
-        let _ = new.write_memory(region.base, &content);
-    }
-    (new, pace, system)
-}
-
-fn wiring(config: &NodeConfig) -> Wiring {
-    Wiring {
-        error: config.clock_error,
-        crystal_hertz: config.crystal.to_Hz(),
-        low_speed_hertz: config.low_speed.to_Hz(),
-        can: config.can,
-    }
-}
-
-/// A core at its reset vector, with its peripherals; RAM is empty.
-fn out_of_reset(config: &NodeConfig, image: &Image, pace: Rc<Pace>, system: System) -> Hardware {
-    let system = Rc::new(RefCell::new(system));
-    let io: Rc<RefCell<dyn Io>> = system.clone();
-    let system_memory = memory::system_memory(config.unique_id);
-    let rom = [
-        (memory::FLASH, image.flash.as_slice()),
-        (memory::BOOT_ALIAS, image.flash.as_slice()),
-        (memory::SYSTEM, system_memory.as_slice()),
-    ];
-    let mut cpu = Interpreter::new(&rom, &[memory::RAM, memory::CCM], &memory::IO, &io, &pace);
-    // Does not fail: the loader has checked that the vector table is there.
-    let vector = |cpu: &Interpreter, number: u32| cpu.read_word(memory::FLASH.base + 4 * number).unwrap_or(0);
-    let (stack, reset) = (vector(&cpu, 0), vector(&cpu, 1));
-    cpu.set_register(Register::Msp, stack);
-    cpu.set_register(Register::Lr, u32::MAX);
-    cpu.set_register(Register::Pc, reset);
-    (Box::new(cpu), pace, system)
 }
