@@ -11,6 +11,9 @@
 //! `sim/demo/tests/small.rs` lets them work together in the emulated cluster.
 #![no_std]
 
+// What copies, in 150 bytes.
+use cosmic_mem as _;
+
 pub use boards::Stm32F405;
 pub use cosmic_core::event_layer::Channel;
 pub use cosmic_rtic::prelude::*;
