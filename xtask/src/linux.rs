@@ -12,6 +12,7 @@ use crate::workspace::Workspace;
 const PACKAGES: &[&str] = &[
     "--package=cosmic-cli",
     "--package=cosmic-gateway",
+    "--package=cosmic-gateway-bench",
     "--package=cosmic-linux",
     "--package=cosmic-log",
     "--package=cosmic-monitor",

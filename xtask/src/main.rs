@@ -61,7 +61,7 @@ enum Task {
     /// Run ELF files of your own on an emulated cluster, and judge them: one for each node of cluster.toml here, or of the
     /// --cluster FILE.
     Run(demo::Arguments),
-    /// Measure scheduling, clocks and speed on the simulated bus; see docs/experiments.md.
+    /// Measure scheduling, clocks and speed on the simulated bus, and the gateway; see docs/experiments.md.
     Experiment(experiment::Options),
     /// Run all tests: on the host, on Linux links, in the emulated cluster, in QEMU.
     Test(suite::Options),

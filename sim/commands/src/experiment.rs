@@ -14,12 +14,15 @@ use crate::number::within;
 /// Exit code: 0 if the promise holds, 1 if it does not or the experiment could not be done, 2 for wrong
 /// arguments.
 #[derive(Parser)]
-#[command(name = "experiment", max_term_width = 100)]
+#[command(name = "experiment", max_term_width = 100, after_help = OTHERS)]
 pub struct Arguments {
     #[command(subcommand)]
     /// Which, and how.
     pub experiment: Experiment,
 }
+
+const OTHERS: &str = "\
+`cargo xtask experiment gateway` measures the gateway, with a program of its own: see its --help.";
 
 impl Arguments {
     /// Reads what a user wrote behind `cargo xtask experiment`, before anything is built.

@@ -4,6 +4,7 @@
 
 pub mod demo;
 pub mod experiment;
+pub mod gateway;
 pub mod number;
 pub mod output;
 pub mod wan;

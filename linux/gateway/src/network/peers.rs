@@ -3,6 +3,10 @@
 //! A participant is a sender *in a segment*: access control binds the segment to a certificate, but a sender is only a
 //! number, which another may use too. So each segment has room of its own, and what is said in one of them tells nothing
 //! of the others.
+//!
+//! A clock is asked for each second while events come from there. Of those that only are there, so many that the questions
+//! of all participants would grow with the square of their number, each is asked so seldom that a participant asks no more
+//! than [20 questions a second](FOR_EACH_SILENT) of them, however many there are.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -36,12 +40,30 @@ struct Peer {
     tokens: u32,
     /// When it was last heard of.
     heard_at: Reading,
+    /// When an event came from it last.
+    event_at: Option<Reading>,
     asked_at: Option<Reading>,
+    /// How often it was asked since then in vain, as far as is known.
+    in_vain: u32,
 }
 
 impl Peer {
     const fn new(now: Reading) -> Self {
-        Self { clock: None, tokens: 0, heard_at: now, asked_at: None }
+        Self { clock: None, tokens: 0, heard_at: now, event_at: None, asked_at: None, in_vain: 0 }
+    }
+
+    /// Between two questions to it, where one that is silent is asked so seldom.
+    fn pause(&self, silent: Duration, now: Reading) -> Duration {
+        let is_silent = self.event_at.is_none_or(|at| now.since(at) > LATELY);
+        if self.clock.is_none() {
+            Duration::from_ticks(
+                BETWEEN_FIRST_QUESTIONS.as_ticks() << self.in_vain.saturating_sub(1).min(DOUBLINGS),
+            )
+        } else if is_silent {
+            silent
+        } else {
+            BETWEEN_QUESTIONS
+        }
     }
 }
 
@@ -64,11 +86,11 @@ impl Peers {
         }
         let peer = of_segment.entry(envelope.sender).or_insert_with(|| Peer::new(now));
         peer.heard_at = now;
-        let Some(clock) = &peer.clock else {
-            drop(known);
+        let was_silent = peer.event_at.replace(now).is_none_or(|at| now.since(at) > LATELY);
+        if was_silent || peer.clock.is_none() {
             self.ask.notify_one();
-            return Err(Outcome::AgeUnknown);
-        };
+        }
+        let Some(clock) = &peer.clock else { return Err(Outcome::AgeUnknown) };
         clock.age_at_most(envelope.sent_at, now).ok_or(Outcome::FromTheFuture)
     }
 
@@ -107,12 +129,13 @@ impl Peers {
         }
         let peer = of_segment.entry(key.sender).or_insert_with(|| Peer::new(now));
         peer.tokens = peer.tokens.saturating_add(1);
-        peer.heard_at = now;
+        (peer.heard_at, peer.in_vain) = (now, 0);
         self.ask.notify_one();
     }
 
     fn note(&self, of: &SenderKey, exchange: Exchange) {
         if let Some(peer) = self.lock().get_mut(&of.segment).and_then(|it| it.get_mut(&of.sender)) {
+            peer.in_vain = 0;
             match &mut peer.clock {
                 Some(clock) => clock.note(exchange),
                 None => peer.clock = Some(PeerClock::new(exchange)),
@@ -124,12 +147,16 @@ impl Peers {
     fn due(&self, now: Reading) -> Vec<SenderKey> {
         let mut known = self.lock();
         let mut due = Vec::new();
+        let all = known.values().map(HashMap::len).sum::<usize>() as u64;
+        let silent =
+            LEAST_TO_SILENT.max(Duration::from_ticks(FOR_EACH_SILENT.as_ticks().saturating_mul(all)));
         known.retain(|segment, of_segment| {
             of_segment.retain(|_, peer| peer.tokens > 0 || now.since(peer.heard_at) < MEMORY);
             for (sender, peer) in of_segment.iter_mut() {
-                let pause = if peer.clock.is_some() { BETWEEN_QUESTIONS } else { BETWEEN_FIRST_QUESTIONS };
+                let pause = peer.pause(silent, now);
                 if peer.asked_at.is_none_or(|asked| now.since(asked) >= pause) {
                     peer.asked_at = Some(now);
+                    peer.in_vain = peer.in_vain.saturating_add(1);
                     due.push(SenderKey { segment: segment.clone(), sender: *sender });
                 }
             }
@@ -199,10 +226,18 @@ async fn ask(session: Session, key: String, of: SenderKey, peers: Arc<Peers>) {
     }
 }
 
-/// Between two questions to one whose clock is known.
+/// Between two questions to one whose clock is known, and whose events come.
 const BETWEEN_QUESTIONS: Duration = Duration::from_secs(1);
-/// To one whose clock is not known.
+/// So long after an event one does not count as silent.
+const LATELY: Duration = Duration::from_secs(10);
+/// Between two questions to one that is silent, at least: what its clock may have drifted by then makes an event a
+/// thousandth of this older than it is.
+const LEAST_TO_SILENT: Duration = Duration::from_secs(10);
+/// And so much for each other that is there.
+const FOR_EACH_SILENT: Duration = Duration::from_millis(50);
+/// Between the first two questions to one whose clock is not known; then twice that, and so on.
 const BETWEEN_FIRST_QUESTIONS: Duration = Duration::from_millis(200);
+const DOUBLINGS: u32 = 4;
 /// An answer that takes longer is of no use.
 const PATIENCE: Span = Span::from_secs(5);
 /// So long one without a token is known that was not heard of.
@@ -283,6 +318,43 @@ mod tests {
         let later = Reading(2000 + MEMORY.as_ticks());
         let left: Vec<_> = peers.due(later).into_iter().map(|it| it.sender).collect();
         assert_eq!(left, [Sender(5000)], "who has none is forgotten");
+    }
+
+    #[test]
+    fn questions_to_those_that_are_silent_do_not_grow_with_their_number() {
+        const SECOND: u64 = 1_000_000_000;
+        for others in [10, 400, 4000] {
+            let peers = Peers::new();
+            for number in 0..others {
+                let key = key(&format!("segment-{number}"), number);
+                peers.on_token(&key, true, Reading(0));
+                peers.note(&key, answer(0));
+            }
+            assert_eq!(peers.due(Reading(SECOND)).len() as u64, others, "each is asked first of all");
+            // Events come from one of them, all the time.
+            let (mut asked, mut of_it) = (0, 0);
+            for second in 2..=402 {
+                let now = Reading(second * SECOND);
+                assert!(peers.age(&name("segment-3"), &event(3, now.0), now).is_ok());
+                let due = peers.due(now);
+                asked += due.len();
+                of_it += due.iter().filter(|key| key.sender == Sender(3)).count();
+            }
+            assert!(asked - of_it <= 20 * 401, "{others}: {asked} in 401 s");
+            assert_eq!(of_it, 401, "its clock is asked for each second");
+        }
+    }
+
+    #[test]
+    fn who_does_not_answer_is_asked_less_and_less() {
+        let peers = Peers::new();
+        peers.on_token(&key("west", 7), true, Reading(0));
+        let asked_at = |milliseconds: u64| !peers.due(Reading(milliseconds * 1_000_000)).is_empty();
+        let asked: Vec<u64> = (0..10_000).step_by(100).filter(|at| asked_at(*at)).collect();
+        assert_eq!(asked, [0, 200, 600, 1400, 3000, 6200, 9400]);
+        // It is there again.
+        peers.on_token(&key("west", 7), true, Reading(0));
+        assert!(asked_at(9600));
     }
 
     #[test]
