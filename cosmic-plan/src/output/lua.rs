@@ -2,12 +2,12 @@
 //!
 //! Frames of CAN carry no mark of their protocol. So the dissector offers itself for every extended data frame, and
 //! takes those whose etag is one of the protocol's or of the segment's channels; the priority and the sender may be
-//! any. Where a broker gives the etags, it learns them from the broker's frames.
+//! any. Where a broker gives the etags, it learns them from the broker's frames. Messages longer than a frame are put
+//! together as their subscribers do; the last frame has the fields of the whole.
 
 use super::control::{CONTROL, ControlField, Shown};
 use crate::cluster::Cluster;
 use crate::contents::{ByteOrder, FieldLayout, FieldType, Layout};
-use cosmic_core::can::Payload;
 use std::fmt::Write as _;
 
 /// The text of the script.
@@ -50,7 +50,7 @@ fn write_all(out: &mut String, cluster: &Cluster, source_name: &str) -> std::fmt
         writeln!(out, "}} }}")?;
     }
     writeln!(out, "\nlocal contents = {{}}")?;
-    for layout in cluster.contents.iter().filter(|layout| layout.len <= Payload::MAX_LEN) {
+    for layout in &cluster.contents {
         writeln!(out, "contents.{0} = {{ length = {1}, fields = {{", key(&layout.name), layout.len)?;
         for field in &layout.fields {
             for position in 0..field.values() {
@@ -61,7 +61,7 @@ fn write_all(out: &mut String, cluster: &Cluster, source_name: &str) -> std::fmt
     }
     writeln!(out, "\nlocal channels = {{")?;
     for channel in &cluster.channels {
-        let content = match cluster.layout_of(channel).filter(|layout| layout.len <= Payload::MAX_LEN) {
+        let content = match cluster.layout_of(channel) {
             Some(layout) => format!("contents.{}", key(&layout.name)),
             None => "nil".to_owned(),
         };
@@ -190,6 +190,7 @@ local f = {
     stage = ProtoField.uint8("cosmic.configuration_request.stage", "stage"),
     nibble = ProtoField.uint8("cosmic.configuration_request.nibble", "part of the UID", base.HEX),
     data = ProtoField.bytes("cosmic.data", "Data"),
+    part = ProtoField.string("cosmic.part", "Part of a message"),
 }
 local malformed = ProtoExpert.new("cosmic.malformed", "Not as described", expert.group.MALFORMED, expert.severity.WARN)
 cosmic.experts = { malformed }
@@ -211,10 +212,12 @@ end
 cosmic.fields = all
 
 local by_subject, by_etag, halves = {}, {}, {}
+-- Messages of several frames: what has come of each sender's, and the whole ones by the number of their last frame.
+local begun, whole = {}, {}
 for _, channel in ipairs(channels) do by_subject[channel.subject] = channel end
 
 function cosmic.init()
-    by_etag, halves = {}, {}
+    by_etag, halves, begun, whole = {}, {}, {}, {}
     for _, channel in ipairs(channels) do
         if channel.etag then by_etag[channel.etag] = channel end
     end
@@ -231,6 +234,56 @@ local function learn(buffer)
         local channel = by_subject[halves[etag] .. half]
         if channel and not channel.etag then by_etag[etag] = channel end
         halves[etag] = nil
+    end
+end
+
+local function xor(one, other)
+    local result, weight = 0, 1
+    while one > 0 or other > 0 do
+        if one % 2 ~= other % 2 then result = result + weight end
+        one, other, weight = math.floor(one / 2), math.floor(other / 2), 2 * weight
+    end
+    return result
+end
+
+-- 0 over a message with its CRC behind it.
+local function crc_of(bytes)
+    local crc = 65535
+    for at = 0, bytes:len() - 1 do
+        crc = xor(crc, 256 * bytes:get_index(at))
+        for _ = 1, 8 do
+            local carry = crc >= 32768
+            crc = 2 * crc % 65536
+            if carry then crc = xor(crc, 4129) end
+        end
+    end
+    return crc
+end
+
+-- Takes a frame of a message, and keeps the whole when it is the last.
+local function collect(buffer, key, frame_number, header)
+    local piece = buffer:len() > 1 and buffer(1):bytes() or ByteArray.new()
+    local message = begun[key]
+    if header.first then
+        message = { number = header.message, bytes = ByteArray.new(), next = 0 }
+        begun[key] = message
+    end
+    if not message or message.number ~= header.message then return end
+    -- The sender repeats a frame that some node has rejected.
+    if header.frame == (message.next - 1) % 16 and tostring(piece) == message.last then return end
+    if header.frame ~= message.next then
+        begun[key] = nil
+        return
+    end
+    message.bytes:append(piece)
+    message.next, message.last = (message.next + 1) % 16, tostring(piece)
+    if not header.last then return end
+    begun[key] = nil
+    local bytes = message.bytes
+    if header.first then
+        whole[frame_number] = bytes
+    elseif bytes:len() >= 2 and crc_of(bytes) == 0 then
+        whole[frame_number] = bytes:subset(0, bytes:len() - 2)
     end
 end
 
@@ -314,6 +367,43 @@ local function add_fields(buffer, tree, fields, summary)
     end
 end
 
+local function add_content(buffer, tree, content, summary)
+    if not content then
+        if buffer:len() > 0 then tree:add(f.data, buffer()) end
+    elseif buffer:len() == content.length then
+        add_fields(buffer, tree, content.fields, summary)
+    else
+        if buffer:len() > 0 then tree:add(f.data, buffer()) end
+        tree:add_proto_expert_info(malformed, buffer:len() .. " bytes instead of " .. content.length)
+    end
+end
+
+-- A frame of a channel whose events are longer than a frame.
+local function add_message(buffer, pinfo, tree, channel, key, summary)
+    if buffer:len() == 0 then
+        tree:add_proto_expert_info(malformed, "no header of a message")
+        return
+    end
+    local byte = buffer(0, 1):uint()
+    local header = {
+        first = byte >= 128, last = byte % 128 >= 64, message = math.floor(byte / 16) % 4, frame = byte % 16,
+    }
+    if not pinfo.visited then collect(buffer, key, pinfo.number, header) end
+    local ends = (header.first and ", the first" or "") .. (header.last and ", the last" or "")
+    local part = "message " .. header.message .. ", frame " .. header.frame .. ends
+    tree:add(f.part, buffer(0, 1), part)
+    local bytes = whole[pinfo.number]
+    if not header.last then
+        summary[1] = part
+        if buffer:len() > 1 then tree:add(f.data, buffer(1)) end
+    elseif not bytes then
+        summary[1] = part
+        tree:add_proto_expert_info(malformed, "frames of this message are missing")
+    elseif bytes:len() > 0 then
+        add_content(bytes:tvb("Message of " .. channel.name), tree, channel.content, summary)
+    end
+end
+
 local function dissect(buffer, pinfo, tree)
     local id, extended, remote = can_id(), can_extended(), can_remote()
     if not id or not extended or not extended.value or (remote and remote.value) then return false end
@@ -354,13 +444,10 @@ local function dissect(buffer, pinfo, tree)
         top:add(f.subject, channel.subject):set_generated()
         top:append_text(", " .. channel.name)
         pinfo.cols.info = channel.name
-        if not channel.content then
-            if length > 0 then top:add(f.data, buffer()) end
-        elseif length == channel.content.length then
-            add_fields(buffer, top, channel.content.fields, summary)
+        if channel.length > 8 then
+            add_message(buffer, pinfo, top, channel, number % 2 ^ 21, summary)
         else
-            top:add(f.data, buffer())
-            top:add_proto_expert_info(malformed, length .. " bytes instead of " .. channel.content.length)
+            add_content(buffer, top, channel.content, summary)
         end
     end
     if #summary > 0 then pinfo.cols.info:append(": " .. table.concat(summary, ", ")) end

@@ -66,6 +66,41 @@ fn every_frame_of_a_record_has_a_name() {
     assert_eq!(seen.len(), messages.len() + channels.len(), "{seen:?}");
 }
 
+/// The last frame of a message has the fields of the whole; without one of its frames it says so, and a frame that was
+/// repeated on the bus changes nothing.
+#[test]
+fn messages_longer_than_a_frame_are_put_together() {
+    let Some(dissector) = dissector() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let log = std::fs::read_to_string(root().join("docs/tasks/rover.log")).unwrap();
+    let lines: Vec<&str> = log.lines().collect();
+    let decoded = printed(&["decode", "docs/tasks/rover.log", "-c", CLUSTER]);
+    let frames: Vec<usize> =
+        (0..).zip(decoded.lines()).filter(|it| it.1.contains(" journal ")).map(|it| it.0).collect();
+    // Two messages of six frames each. The second frame comes twice, and one of the second message is missing.
+    assert_eq!(frames.len(), 12, "{frames:?}");
+    let faulty = (0..)
+        .zip(&lines)
+        .filter(|(at, _)| *at != frames[8])
+        .flat_map(|(at, line)| std::iter::repeat_n(format!("{line}\n"), if at == frames[1] { 2 } else { 1 }));
+    let (whole, faulty): (String, String) = (log.clone(), faulty.collect());
+    for (name, text, expected) in [("whole", whole, [true, true]), ("faulty", faulty, [true, false])] {
+        let (log, file) =
+            (folder.path().join(format!("{name}.log")), folder.path().join(format!("{name}.pcapng")));
+        std::fs::write(&log, text).unwrap();
+        let file = file.display().to_string();
+        printed(&["record", &file, "-l", &format!("log:{}", log.display())]);
+        let fields = ["cosmic.journal.latitude", "cosmic.journal.cells_5", "_ws.expert.message"];
+        let ends = shown(&dissector, &file, r#"cosmic.part contains "the last""#, &fields);
+        assert_eq!(ends.len(), 2, "{ends:?}");
+        for (end, expected) in ends.iter().zip(expected) {
+            let is_whole = end.split('\t').take(2).all(|value| value == "0");
+            assert_eq!(is_whole, expected, "{name}: {end}");
+            assert_eq!(end.contains("frames of this message are missing"), !expected, "{name}: {end}");
+        }
+    }
+}
+
 /// The table of the manual, which a test of the core holds true, as a record.
 #[test]
 fn every_control_message_of_a_record_has_named_fields() {
