@@ -8,6 +8,7 @@ use cosmic_core::time::{Duration, Instant};
 use serde::Serialize;
 
 use crate::monitor::Monitor;
+use crate::plan::SegmentPlan;
 use crate::slots::Standing;
 use crate::suspects::named;
 
@@ -186,9 +187,14 @@ impl Monitor {
         if let Some((nodes, what)) = calendars {
             findings.push(Finding { nodes, ..finding(Rule::TwoCalendars, what) });
         }
-        let inhibited = self.nodes.iter().filter(|(_, node)| {
+        // A node without slots, such as a gateway's, loses nothing by it.
+        let has_slots = |tx_node: TxNode| {
+            let of_node = |plan: &SegmentPlan| plan.slots().iter().any(|it| it.slot.publisher == tx_node);
+            self.plan.as_ref().is_none_or(of_node)
+        };
+        let inhibited = self.nodes.iter().filter(|(tx_node, node)| {
             let state = node.status.map(|(status, _)| status.state);
-            node.alive && state == Some(NodeState::HardInhibited)
+            node.alive && state == Some(NodeState::HardInhibited) && has_slots(*tx_node)
         });
         for (tx_node, _) in inhibited.filter(|_| !mismatch) {
             let what = format!(

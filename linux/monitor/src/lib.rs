@@ -22,7 +22,7 @@
 //! # Calling order
 //! Call [`Monitor::on_frame`], [`on_foreign`](Monitor::on_foreign), [`on_lost`](Monitor::on_lost),
 //! [`on_errors`](Monitor::on_errors) and [`on_bus_off`](Monitor::on_bus_off) as the link tells of them, with instants
-//! that do not go back; one that does counts as the latest. [`Monitor::snapshot`], [`Monitor::doctor`] and
+//! that do not go back; one that does counts as the latest of them. [`Monitor::snapshot`], [`Monitor::doctor`] and
 //! [`Monitor::notices`] may be called at any time.
 //!
 //! A frame takes time logarithmic in the channels that are known, and linear in who publishes and subscribes on its own, at

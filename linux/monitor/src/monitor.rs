@@ -28,7 +28,9 @@ pub struct Monitor {
     pub(crate) plan: Option<SegmentPlan>,
     pub(crate) bit_rate: BitRate,
     pub(crate) started: Instant,
-    /// The latest instant that was told.
+    /// The latest instant at which something happened on the link.
+    heard_at: Instant,
+    /// The latest instant that was told, by the link or by whoever looks.
     pub(crate) now: Instant,
     swept_at: Instant,
     pub(crate) link: LinkSeen,
@@ -74,6 +76,7 @@ impl Monitor {
             plan,
             bit_rate,
             started: now,
+            heard_at: now,
             now,
             swept_at: now,
             link: LinkSeen::default(),
@@ -165,9 +168,9 @@ impl Monitor {
 
     /// Time has come so far: forgets what is too old.
     pub(crate) fn refresh(&mut self, now: Instant) -> Instant {
-        let now = self.advance(now);
-        self.sweep(now);
-        now
+        self.now = self.now.max(now);
+        self.sweep(self.now);
+        self.now
     }
 
     /// The notices with a [sequence number](Notice::sequence) above this, oldest first.
@@ -292,13 +295,16 @@ impl Monitor {
         bound.or_else(planned)
     }
 
-    /// Takes note of the time; an instant before the latest counts as that. Returns which one counts.
+    /// Takes note of the time at which something happened on the link; an instant before the latest counts as that. Returns
+    /// which one counts. That somebody has looked meanwhile makes nothing later than it was: what the link still holds was
+    /// stamped before.
     fn advance(&mut self, at: Instant) -> Instant {
-        self.now = self.now.max(at);
+        self.heard_at = self.heard_at.max(at);
+        self.now = self.now.max(self.heard_at);
         if self.now.saturating_since(self.swept_at) >= SWEEP {
             self.sweep(self.now);
         }
-        self.now
+        self.heard_at
     }
 
     /// What only time brings: silence, ended leases, slots that passed.
@@ -311,7 +317,9 @@ impl Monitor {
             self.feed.add(news.of(tx_node), now);
         }
         self.channels.advance(now);
-        self.pass_slots(now);
+        // Frames of slots that have passed may be on their way here, but not for ever.
+        let is_silent = now.saturating_since(self.heard_at) >= SILENCE;
+        self.pass_slots(if is_silent { now } else { self.heard_at });
     }
 
     /// Slots whose windows have passed without a frame are missed. Linear in the slots.
@@ -425,5 +433,7 @@ fn bits_of(frame: &WireFrame) -> u32 {
 }
 
 const INTERMISSION: u32 = 3;
+/// No link holds a frame back for so long.
+const SILENCE: Duration = Duration::from_secs(1);
 /// How often silence and the like are looked for.
 const SWEEP: Duration = Duration::from_secs(1);

@@ -4,6 +4,7 @@ mod bed;
 
 use bed::Bed;
 use cosmic_core::can::Frame;
+use cosmic_core::time::Duration;
 use cosmic_monitor::{ChannelClass, ChannelView, Meaning, NoticeKind};
 
 fn running() -> Bed {
@@ -24,6 +25,21 @@ fn nothing_is_wrong_with_it() {
     bed.run(4_000);
     let findings = bed.findings();
     assert!(findings.is_empty(), "{findings:#?}");
+}
+
+/// Whoever looks may have a clock that is ahead of the stamps of frames which the link still holds.
+#[test]
+fn looking_makes_nothing_late_that_is_still_to_come() {
+    let mut bed = running();
+    for _ in 0..20 {
+        let ahead = bed.now() + Duration::from_millis(30);
+        let findings = bed.monitor.doctor(ahead);
+        assert!(findings.is_empty(), "{findings:#?}");
+        bed.run(100);
+    }
+    let slots = bed.monitor.snapshot(bed.now()).slots;
+    assert!(slots.iter().all(|slot| slot.frames > 200), "{slots:#?}");
+    assert!(slots.iter().all(|slot| (slot.missed, slot.outside) == (0, 0)), "{slots:#?}");
 }
 
 #[test]

@@ -6,8 +6,8 @@ use bed::{Bed, Changes, ROVER, channel_named};
 use cosmic_bus::{BitPosition, Fault, FaultModel, Filter, Rule as FaultRule};
 use cosmic_core::NodeUid;
 use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
-use cosmic_core::protocol::{Answer, BrokerStatus, SupplyEtag};
-use cosmic_monitor::{Finding, Monitor, Rule, Severity};
+use cosmic_core::protocol::{Answer, BrokerStatus, NodeState, NodeStatus, SupplyEtag};
+use cosmic_monitor::{Finding, Monitor, NodeView, Rule, Severity};
 use embedded_can::ExtendedId;
 
 /// The findings, once the cluster has run for so long with the fault in it.
@@ -209,6 +209,24 @@ fn hard_frames_outside_of_their_slot() {
     let outside = findings.iter().find(|it| it.rule == Rule::UnplannedHard).unwrap();
     assert!(outside.what.contains("outside of its window"), "{outside}");
     assert!(bed.monitor.snapshot(bed.now()).slots[0].outside >= 10);
+}
+
+/// As a gateway is: a node beside the plan, whose clock is too coarse for slots that it does not have.
+#[test]
+fn a_node_without_slots_keeps_silent_in_none() {
+    let mut bed = healthy();
+    let gateway = TxNode::new(0x64).unwrap();
+    let status = NodeStatus::first(gateway, NodeState::HardInhibited).encode();
+    bed.send(bed.stranger, status);
+    bed.run(10);
+    let state = |node: &NodeView| (node.tx_node == 0x64).then_some(node.state);
+    let nodes = bed.monitor.snapshot(bed.now()).nodes;
+    assert_eq!(nodes.iter().find_map(state), Some(Some("hard-inhibited")));
+    assert_eq!(bed.findings(), []);
+    let planned = NodeStatus::first(bed.plan.slots()[0].slot.publisher, NodeState::HardInhibited).encode();
+    bed.send(bed.stranger, planned);
+    bed.run(10);
+    assert!(bed.rules().contains(&Rule::ClockOutOfBound));
 }
 
 #[test]

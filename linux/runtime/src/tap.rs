@@ -114,6 +114,8 @@ struct State {
     /// Nobody fetched so many frames.
     dropped: u32,
     latest: Instant,
+    /// When that was told, by the clock of this machine.
+    latest_told_at: Instant,
     /// What the first stamp of this connection was, and when.
     origin: Option<(Duration, Instant)>,
     is_connected: bool,
@@ -130,6 +132,7 @@ impl Tap {
             told: VecDeque::new(),
             dropped: 0,
             latest: Instant::EPOCH,
+            latest_told_at: Instant::EPOCH,
             origin: None,
             is_connected: false,
             connections: 0,
@@ -171,9 +174,11 @@ impl Tap {
     /// So many things wait to be fetched at most: eight seconds of a full bus.
     pub const MOST_WAITING: usize = 65_536;
 
-    /// The present time, as [`Tapped::at`] states it.
+    /// The present time, as [`Tapped::at`] states it: the latest of these, and what has passed since it was told.
     pub fn now(&self) -> Instant {
-        self.shared.now().max(self.shared.lock().latest)
+        let now = self.shared.now();
+        let state = self.shared.lock();
+        state.latest + now.saturating_since(state.latest_told_at)
     }
 
     /// Sends a frame as it is, and waits until it was sent. One at a time: so frames keep their order.
@@ -231,7 +236,7 @@ impl Shared {
             then + time::Duration::from_ticks(since)
         });
         let at = at.max(state.latest);
-        state.latest = at;
+        (state.latest, state.latest_told_at) = (at, now);
         let is_full = state.told.len() >= Tap::MOST_WAITING;
         if is_full && matches!(what, What::Frame(_) | What::Foreign(_) | What::Malformed) {
             state.dropped = state.dropped.saturating_add(1);
@@ -316,5 +321,28 @@ impl End for Shared {
 
     fn connections(&self) -> u64 {
         self.lock().connections
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(milliseconds: u64) -> Instant {
+        Instant::from_epoch(time::Duration::from_millis(milliseconds))
+    }
+
+    /// A link whose clock has stood still for a while: that of an emulated segment, when the machine cannot follow.
+    #[tokio::test(start_paused = true)]
+    async fn the_present_time_is_that_of_the_stamps() {
+        let tap = Tap::start(crate::link::segment::SegmentLink::new("/nowhere"));
+        tap.shared.tell(What::Malformed, Some(Duration::from_millis(500)));
+        tokio::time::advance(Duration::from_millis(50)).await;
+        tap.shared.tell(What::Malformed, Some(Duration::from_millis(510)));
+        let instants: Vec<_> = std::iter::from_fn(|| tap.try_next()).map(|tapped| tapped.at).collect();
+        assert_eq!(instants, [at(0), at(10)]);
+        assert_eq!(tap.now(), at(10));
+        tokio::time::advance(Duration::from_millis(3)).await;
+        assert_eq!(tap.now(), at(13));
     }
 }

@@ -182,11 +182,8 @@ impl Segment for EmulatedSegment {
         for (at, place) in self.members.iter().enumerate().filter(|(_, place)| place.used) {
             let member = Member(at as u32);
             let told = std::mem::take(&mut place.room.borrow_mut().events);
-            events.extend(told.into_iter().map(|(at, kind)| MemberEvent {
-                at: at + self.behind,
-                member,
-                kind,
-            }));
+            // They bear the segment's own time, in which it has not stood still.
+            events.extend(told.into_iter().map(|(at, kind)| MemberEvent { at, member, kind }));
         }
         events.sort_by_key(|event| event.at);
         // Logs and records of the nodes; nobody looks at them here.
