@@ -42,10 +42,21 @@ pub struct Config {
     pub ip: Ip,
     /// Where metrics are served.
     pub metrics: Option<SocketAddr>,
+    /// The live page, if it is wanted.
+    pub page: Option<PageConfig>,
     /// The segments.
     pub segments: Vec<SegmentConfig>,
     /// What may cross.
     pub channels: Vec<ChannelConfig>,
+}
+
+/// The live page of a gateway.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct PageConfig {
+    /// Where it is served.
+    pub listen: SocketAddr,
+    /// Names under which browsers may ask for it, besides addresses and `localhost`.
+    pub hosts: Vec<String>,
 }
 
 /// How a gateway or a node on IP reaches the others.

@@ -18,6 +18,7 @@ use tokio::task::JoinSet;
 
 use crate::config::Config;
 use crate::counters::{Counters, Direction, Metrics};
+use crate::crossing::Watch;
 use crate::error::StartError;
 use crate::keys::Name;
 use crate::leader::group_of;
@@ -40,6 +41,18 @@ impl Gateway {
     /// # Errors
     /// [`StartError`]
     pub async fn start(config: &Config) -> Result<Self, StartError> {
+        Self::start_with(config, None).await
+    }
+
+    /// As [`start`](Self::start); `watch` is told of each event, and what becomes of it. It must not wait.
+    ///
+    /// # Errors
+    /// As there.
+    pub async fn start_watched(config: &Config, watch: Box<Watch>) -> Result<Self, StartError> {
+        Self::start_with(config, Some(watch)).await
+    }
+
+    async fn start_with(config: &Config, watch: Option<Box<Watch>>) -> Result<Self, StartError> {
         let network = Network::join(&config.ip, &config.network).await.map_err(StartError::Network)?;
         let metrics = Metrics::new();
         let group = group_of(&config.network);
@@ -78,6 +91,7 @@ impl Gateway {
             metrics,
             changed,
             has_company: AtomicBool::new(false),
+            watch,
         });
         let mut gateway = Self { hub, tasks: JoinSet::new() };
         gateway.spawn(tables);

@@ -28,6 +28,7 @@
 //! ```
 
 mod inlet;
+mod listener;
 mod queue;
 
 use std::sync::Arc;
@@ -44,6 +45,7 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::Locality;
 
 use inlet::Inlet;
+pub use listener::{Heard, Listener, Participant};
 use queue::Queue;
 
 use crate::clock::Reading;
@@ -169,6 +171,20 @@ impl Node {
         let subscriber = subscriber.callback(move |sample| inlet.pass(&sample)).await;
         let subscriber = subscriber.map_err(|error| failed(&error))?;
         Ok(Subscriber { node: self.clone(), channel: *channel, queue, _subscriber: subscriber })
+    }
+
+    /// Waits until it is connected to somebody.
+    pub async fn connected(&self) {
+        self.inner.network.connected().await;
+    }
+
+    /// Waits until there are others, and as many have asked what this node's clock says: before that, they discard what it
+    /// sends. Who only listens is none of them.
+    pub async fn known(&self) {
+        let is_known = |others: usize| others > 0 && self.inner.network.answered() >= others as u64;
+        while !is_known(self.others().0) {
+            tokio::time::sleep(std::time::Duration::from_millis(5)).await;
+        }
     }
 
     /// How many others are on IP, and of how many the clock is known: what they send before is discarded.

@@ -81,6 +81,11 @@ impl Keys {
         format!("{}/event/{:016x}/*", self.prefix, subject.get())
     }
 
+    /// Events of all subjects from all segments.
+    pub fn all_events(&self) -> String {
+        format!("{}/event/*/*", self.prefix)
+    }
+
     /// Where the clock of a sender is asked for.
     pub fn clock(&self, of: &SenderKey) -> String {
         format!("{}/clock/{}/{}", self.prefix, of.segment, of.sender)

@@ -14,6 +14,7 @@
 pub mod clock;
 pub mod config;
 pub mod counters;
+mod crossing;
 pub mod encoding;
 mod error;
 mod gateway;
@@ -21,12 +22,16 @@ pub mod ip;
 pub mod keys;
 mod leader;
 mod network;
+mod page;
+pub mod program;
 pub mod rules;
 mod segment;
 pub mod sequence;
 pub mod service;
 pub mod table;
 
+pub use crossing::{Crossing, Watch};
 pub use error::StartError;
 pub use gateway::Gateway;
 pub use network::NetworkError;
+pub use page::shown;

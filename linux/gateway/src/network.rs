@@ -6,6 +6,7 @@ mod settings;
 
 use std::fmt;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use tokio::task::JoinHandle;
 use zenoh::Session;
@@ -13,7 +14,7 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Queryable;
 use zenoh::sample::Locality;
 
-pub(crate) use door::{Admitted, Door};
+pub(crate) use door::{Admitted, Door, Overheard};
 use peers::Peers;
 
 use crate::clock::Reading;
@@ -45,6 +46,8 @@ pub(crate) struct Network {
     pub(crate) keys: Keys,
     pub(crate) sender: Sender,
     pub(crate) peers: Arc<Peers>,
+    /// How often our clock was asked for.
+    answered: Arc<AtomicU64>,
     /// Keeps the clocks of the others known.
     keeper: JoinHandle<()>,
 }
@@ -72,7 +75,7 @@ impl Network {
         let watcher = watch.map_err(|error| failed(&error))?;
         let keep = peers::keep(session.clone(), keys.clone(), Arc::clone(&peers), watcher);
         let keeper = tokio::spawn(keep);
-        Ok(Self { session, keys, sender, peers, keeper })
+        Ok(Self { session, keys, sender, peers, answered: Arc::default(), keeper })
     }
 
     /// Where events come in. Each lets an event in once.
@@ -83,7 +86,9 @@ impl Network {
     /// Speaks for a segment from now on.
     pub(crate) async fn speak_for(&self, segment: &Name) -> Result<Voice, NetworkError> {
         let me = SenderKey { segment: segment.clone(), sender: self.sender };
-        let answer = |query: zenoh::query::Query| {
+        let answered = Arc::clone(&self.answered);
+        let answer = move |query: zenoh::query::Query| {
+            answered.fetch_add(1, Ordering::Relaxed);
             let key = query.key_expr().clone();
             let bytes = Reading::now().0.to_be_bytes();
             // Who asked is told nothing then, and asks again.
@@ -95,11 +100,23 @@ impl Network {
         Ok(Voice { _token: token.map_err(|error| failed(&error))?, _clock: clock })
     }
 
+    /// How often our clock was asked for.
+    pub(crate) fn answered(&self) -> u64 {
+        self.answered.load(Ordering::Relaxed)
+    }
+
     /// Returns whether anybody is connected.
     pub(crate) async fn has_company(&self) -> bool {
         let info = self.session.info();
         let (routers, peers) = (info.routers_zid().await, info.peers_zid().await);
         routers.count() + peers.count() > 0
+    }
+
+    /// Waits until somebody is connected.
+    pub(crate) async fn connected(&self) {
+        while !self.has_company().await {
+            tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        }
     }
 
     /// Ends the session.

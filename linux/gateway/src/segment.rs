@@ -217,8 +217,9 @@ impl Segment {
         left.after(waited).ok_or(Outcome::Expired)
     }
 
-    /// An event for the segment. Never waits. What becomes of it is counted.
-    pub(crate) fn give(&self, at: usize, channel: &ChannelConfig, event: &Incoming<'_>) {
+    /// An event for the segment. Never waits. What becomes of it is counted, and returned; a message that is taken counts as
+    /// forwarded here, though its outbox may still give it up, and then counts that.
+    pub(crate) fn give(&self, at: usize, channel: &ChannelConfig, event: &Incoming<'_>) -> Outcome {
         let now = self.node.now();
         let outcome = if self.conflicts(at, event.layout) {
             Some(Outcome::LayoutMismatch)
@@ -239,6 +240,7 @@ impl Segment {
             }
         };
         outcome.into_iter().for_each(|outcome| self.incoming.count(outcome));
+        outcome.unwrap_or(Outcome::Forwarded)
     }
 
     fn enqueue(

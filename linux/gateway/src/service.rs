@@ -10,10 +10,13 @@ use axum::routing::get;
 use sd_notify::NotifyState;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
+use tokio::task::JoinSet;
 
 use crate::config::Config;
+use crate::crossing::Crossing;
 use crate::error::StartError;
 use crate::gateway::Gateway;
+use crate::page;
 
 /// Why a service has ended that should not.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -49,10 +52,10 @@ pub async fn run(config: &Config) -> Result<(), ServiceError> {
     let (mut terminate, mut interrupt) =
         (signals(SignalKind::terminate())?, signals(SignalKind::interrupt())?);
     let listener = match config.metrics {
-        Some(address) => Some(listen(address).await?),
+        Some(address) => Some(listen(address, "metrics").await?),
         None => None,
     };
-    let mut gateway = Gateway::start(config).await?;
+    let (mut gateway, page) = start(config).await?;
     let text = gateway.metrics_later();
     let served = listener.map(|listener| tokio::spawn(serve(listener, text)));
     let ready = format!("{} segments of network {}", config.segments.len(), config.network);
@@ -71,6 +74,7 @@ pub async fn run(config: &Config) -> Result<(), ServiceError> {
     if let Some(served) = served {
         served.abort();
     }
+    drop(page);
     if tokio::time::timeout(LONGEST_END, gateway.stop()).await.is_err() {
         tracing::warn!("the session on IP did not close within {} s", LONGEST_END.as_secs());
     }
@@ -80,10 +84,33 @@ pub async fn run(config: &Config) -> Result<(), ServiceError> {
     ended
 }
 
-async fn listen(address: SocketAddr) -> Result<TcpListener, ServiceError> {
+/// Starts the gateway, and its page if it has one: what serves it, as long as that lives.
+async fn start(config: &Config) -> Result<(Gateway, JoinSet<()>), ServiceError> {
+    let Some(of_page) = &config.page else { return Ok((Gateway::start(config).await?, JoinSet::new())) };
+    let listener = listen(of_page.listen, "page").await?;
+    let hub = page::hub(config, &of_page.hosts);
+    let teller = hub.clone();
+    let watch = move |crossing: &Crossing<'_>, outcome| teller.crossed(page::shown(crossing, outcome));
+    let gateway = Gateway::start_watched(config, Box::new(watch)).await?;
+    let mut tasks = page::show(&hub, config)?;
+    if let Ok(address) = listener.local_addr() {
+        tracing::info!("the page: http://{address}/");
+        if !address.ip().is_loopback() {
+            tracing::warn!("whoever reaches {address} sees these segments; nothing is encrypted");
+        }
+    }
+    tasks.spawn(async move {
+        if let Err(error) = cosmic_page::serve(hub, listener).await {
+            tracing::error!("the page is served no longer: {error}");
+        }
+    });
+    Ok((gateway, tasks))
+}
+
+async fn listen(address: SocketAddr, what: &str) -> Result<TcpListener, ServiceError> {
     TcpListener::bind(address).await.map_err(|error| {
         ServiceError(format!(
-            "metrics cannot be served at {address}: {error}; choose another address in `metrics`"
+            "the {what} cannot be served at {address}: {error}; choose another address in `{what}`"
         ))
     })
 }

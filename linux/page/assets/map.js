@@ -33,7 +33,8 @@ const shareOf = (share) => share.hard + share.soft + share.non_real_time + share
 /** Where each node and channel stands, and what joins them. */
 function layOut(snapshot, width) {
   const nodes = new Map(snapshot.nodes.map((node) => [node.tx_node, node]));
-  const crossing = new Set((store.crossings?.ways ?? []).map((it) => it.subject));
+  // A gateway knows names that no plan of the segment does.
+  const crossing = new Map((store.crossings?.ways ?? []).map((it) => [it.subject, it.channel]));
   const columns = [[], [], []];
   const wires = [];
   const seen = [new Set(), new Set()];
@@ -49,7 +50,8 @@ function layOut(snapshot, width) {
   snapshot.channels.forEach((channel, at) => {
     const id = `c${channel.etag ?? `-${at}`}`;
     const crosses = crossing.has(channel.subject);
-    const label = `${channel.name ?? channel.subject ?? `etag ${channel.etag}`}${crosses ? " ⇄" : ""}`;
+    const name = channel.name ?? crossing.get(channel.subject) ?? channel.subject ?? `etag ${channel.etag}`;
+    const label = `${name}${crosses ? " ⇄" : ""}`;
     const style = CLASSES.find((it) => it.name === channel.class)?.style ?? "";
     columns[1].push({ id, label, etag: channel.etag, style, words: `${channel.class ?? ""}${crosses ? ", crosses between segments" : ""}`, absent: channel.frames === 0 });
     channel.publishers.forEach((it) => wires.push({ from: node(0, it), to: id }));

@@ -12,7 +12,8 @@ function drawWays() {
   const { crossings } = store;
   byId("ways").hidden = crossings === null;
   if (crossings === null) return;
-  const ways = crossings.ways.filter((it) => passes(it.channel, it.class, it.from, it.to, outcomeWords(it.outcome)));
+  const ways = crossings.ways.filter((it) => passes(it.channel, it.class, it.from, it.to, outcomeWords(it.outcome)))
+    .sort((a, b) => b.went - a.went);
   keyed(byId("way-table").tBodies[0], ways, (it) => JSON.stringify([it.subject, it.class, it.from, it.to, it.outcome]),
     (it) => makeRow(WAY_HEADS, () => chooseSubject(it)),
     (row, it) => {

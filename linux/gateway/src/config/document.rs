@@ -13,9 +13,10 @@ use std::hash::Hash;
 use std::path::Path;
 
 use cosmic_core::protocol::Class;
+use cosmic_linux::link::LinkAddress;
 use cosmic_plan::document::{At, Log, Node, Place, Problem, Source, Table, file};
 
-use super::{Config, Ip, Problems, SegmentConfig};
+use super::{Config, Ip, PageConfig, Problems, SegmentConfig};
 use channel::Read as ChannelRead;
 use segment::Read as SegmentRead;
 use values::WRITE_NAME;
@@ -57,15 +58,20 @@ impl Reader<'_> {
         let metrics =
             values::optional_text(&table, "metrics", address, "write an address, such as \"127.0.0.1:9464\"");
         let ip = table.node("ip").map_or_else(Ip::default, |node| ip::read(self, &self.table(node, "ip")));
+        let page = table.node("page").map(|node| read_page(&self.table(node, "page")));
         let channels = table.entries("channel", channel::read);
         let segments = table.entries("segment", |table| segment::read(self, table, &channels));
         table.finish();
         self.check_once(&segments, &channels);
+        if page.is_some() {
+            segments.iter().for_each(|segment| self.check_watched(segment));
+        }
         channels.iter().for_each(|channel| self.check_hard(channel, &segments));
         let segments = segments.into_iter().map(|it| it.segment).collect::<Option<_>>();
         let channels = channels.into_iter().map(|it| it.channel).collect::<Option<_>>();
         let metrics = metrics.map(|at| at.value);
-        Some(Config { network: network?.value, ip, metrics, segments: segments?, channels: channels? })
+        let page = page.flatten();
+        Some(Config { network: network?.value, ip, metrics, page, segments: segments?, channels: channels? })
     }
 
     fn problem(&self, path: &str, field: &str, place: &Place, what: &str, help: &str) {
@@ -76,6 +82,15 @@ impl Reader<'_> {
             what: what.to_owned(),
             help: help.to_owned(),
         });
+    }
+
+    /// The page listens to a segment beside the gateway's node.
+    fn check_watched(&self, segment: &SegmentRead) {
+        let Some(At { value: LinkAddress::Slcan(_), place }) = &segment.link else { return };
+        let what =
+            "a serial line serves one program at a time, so the page cannot listen to it beside the gateway";
+        let help = "leave out [page], or use a link by socketcand or SocketCAN";
+        self.problem(&segment.path, "link", place, what, help);
     }
 
     /// What is there once only.
@@ -130,6 +145,16 @@ impl Reader<'_> {
             self.problem(&read.path, "to", &at.place, what, "take it out of one list");
         }
     }
+}
+
+/// `[page]`: the live page.
+fn read_page(table: &Table<'_>) -> Option<PageConfig> {
+    let address = |text: &String| text.parse().ok();
+    let listen = values::required(table, "listen", address, "write an address, such as \"127.0.0.1:8117\"");
+    let host = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
+    let hosts = values::list(table, "hosts", host, "write a name, such as \"gateway.example\"");
+    table.finish();
+    Some(PageConfig { listen: listen?.value, hosts: hosts.into_iter().map(|at| at.value).collect() })
 }
 
 /// Where something stands that stood before.

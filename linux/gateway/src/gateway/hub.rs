@@ -12,6 +12,7 @@ use super::outlet::Outlet;
 use crate::clock::Reading;
 use crate::config::ChannelConfig;
 use crate::counters::{Counters, Metrics, Outcome};
+use crate::crossing::{Crossing, Watch};
 use crate::encoding::Envelope;
 use crate::keys::Name;
 use crate::network::{Admitted, Door, Network};
@@ -30,6 +31,8 @@ pub(super) struct Hub {
     pub(super) metrics: Metrics,
     pub(super) changed: Arc<Notify>,
     pub(super) has_company: AtomicBool,
+    /// Who is told of each event.
+    pub(super) watch: Option<Box<Watch>>,
 }
 
 impl Hub {
@@ -41,17 +44,23 @@ impl Hub {
     /// An event of a segment. Never waits.
     pub(super) fn on_event(&self, segment: usize, channel: usize, event: &Leaving) {
         let (of, config) = (&self.segments[segment], &self.channels[channel]);
+        let told = Crossing::of(config).from(&of.name, Some(event.publisher));
         let left = match of.take(channel, config, event) {
             Ok(left) => left,
             Err(outcome) => {
                 of.outgoing.count(outcome);
-                return;
+                return self.tell(&told, outcome);
             }
         };
+        let told = told.left(left.to_deadline);
         let incoming = Incoming { content: &event.content, layout: LayoutHash::UNSTATED, left };
         let others =
             self.segments.iter().enumerate().filter(|(at, other)| *at != segment && other.wants(channel));
-        let wanted_here = others.map(|(_, other)| other.give(channel, config, &incoming)).count() > 0;
+        let give = |other: &Segment| {
+            let outcome = other.give(channel, config, &incoming);
+            self.tell(&told.to(&other.name), outcome);
+        };
+        let wanted_here = others.map(|(_, other)| give(other)).count() > 0;
         let on_ip = self.outlets[segment][channel].as_ref().filter(|it| it.wanted.load(Ordering::Relaxed));
         let Some(outlet) = on_ip else {
             of.outgoing.count_many(Outcome::Unwanted, u64::from(!wanted_here));
@@ -69,13 +78,26 @@ impl Hub {
             content: event.content.clone(),
         };
         let put = outlet.publisher.put(envelope.encode()).wait();
-        of.outgoing.count(if put.is_ok() { Outcome::Forwarded } else { Outcome::NotSent });
+        let outcome = if put.is_ok() { Outcome::Forwarded } else { Outcome::NotSent };
+        of.outgoing.count(outcome);
+        self.tell(&told, outcome);
     }
 
     /// An event from IP. Never waits.
     pub(super) fn on_sample(&self, channel: usize, sample: &Sample) {
         if let Err(outcome) = self.pass(channel, sample) {
             self.unassigned.count(outcome);
+            let told = Crossing::of(&self.channels[channel]);
+            match self.network.keys.read_event(sample.key_expr().as_str()) {
+                Some(key) => self.tell(&told.from(&key.segment, None), outcome),
+                None => self.tell(&told, outcome),
+            }
+        }
+    }
+
+    fn tell(&self, crossing: &Crossing<'_>, outcome: Outcome) {
+        if let Some(watch) = &self.watch {
+            watch(crossing, outcome);
         }
     }
 
@@ -83,13 +105,18 @@ impl Hub {
         let config = &self.channels[channel];
         let is_own = |name: &Name| self.segments.iter().any(|segment| segment.name == *name);
         let admitted = self.door.admit(sample, config.subject, is_own, &self.unassigned)?;
-        let Admitted { envelope, age, .. } = admitted;
+        let Admitted { segment: origin, envelope, age } = admitted;
         let left = Left { to_deadline: envelope.to_deadline, to_expiry: envelope.to_expiry };
         // An event whose sender states no expiry gets that of the channel, from when it was sent.
         let left = left.at_most(config).after(age).ok_or(Outcome::Expired)?;
         let incoming = Incoming { content: &envelope.content, layout: envelope.layout, left };
         let wanting = self.segments.iter().filter(|segment| segment.wants(channel));
-        let given = wanting.map(|segment| segment.give(channel, config, &incoming)).count();
+        let told = Crossing::of(config).from(&origin, envelope.node).left(left.to_deadline);
+        let give = |segment: &Segment| {
+            let outcome = segment.give(channel, config, &incoming);
+            self.tell(&told.to(&segment.name), outcome);
+        };
+        let given = wanting.map(|segment| give(segment)).count();
         // Interest may have ended while the event was on its way, or we do not lead any more.
         if given > 0 { Ok(()) } else { Err(Outcome::Unwanted) }
     }

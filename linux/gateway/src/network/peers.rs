@@ -94,6 +94,17 @@ impl Peers {
         clock.age_at_most(envelope.sent_at, now).ok_or(Outcome::FromTheFuture)
     }
 
+    /// The segments that are spoken for, each with how much more than the age of its events may be told; `None`: the clock
+    /// is not known.
+    pub(crate) fn speakers(&self, now: Reading) -> Vec<(Name, Option<Duration>)> {
+        let known = self.lock();
+        let speakers =
+            known.iter().flat_map(|(segment, peers)| peers.values().map(move |peer| (segment, peer)));
+        let uncertainty = |peer: &Peer| peer.clock.as_ref().map(|clock| clock.uncertainty(now));
+        let speaks = speakers.filter(|(_, peer)| peer.tokens > 0);
+        speaks.map(|(segment, peer)| (segment.clone(), uncertainty(peer))).collect()
+    }
+
     /// Others that are there, and speak for this segment.
     pub(crate) fn speaking_for(&self, segment: &Name) -> usize {
         self.lock().get(segment).map_or(0, |it| it.values().filter(|peer| peer.tokens > 0).count())

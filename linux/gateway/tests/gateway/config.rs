@@ -28,6 +28,7 @@ fn the_example_of_the_documentation_is_right() {
     let config = read(&example()).unwrap();
     assert_eq!(config.network, Name::new("plant").unwrap());
     let [line, office] = &config.segments[..] else { panic!("two segments") };
+    assert_eq!(config.page.map(|page| page.listen.port()), Some(8117));
     assert_eq!(line.tx_node, TxNode::new(90));
     assert!(line.broker.is_some() && office.plan.is_none());
     let [heat, alarm, ..] = &config.channels[..] else { panic!("channels") };

@@ -159,10 +159,10 @@ async fn what_is_wrong_is_told_in_one_line() {
             2,
             "segment.plant.colour: is not a field that is known here; the fields here are: name, link, uid",
         ),
-        (setup(address.port(), ""), 1, "another program listens at"),
-        (with_metrics, 1, "metrics cannot be served at"),
-        (with_tls, 1, "none.pem cannot be read"),
-        (setup(free, "broker = \"no/such/folder/table\""), 1, "its folder must exist and be writable"),
+        (setup(address.port(), ""), 3, "another program listens at"),
+        (with_metrics, 3, "metrics cannot be served at"),
+        (with_tls, 3, "none.pem cannot be read"),
+        (setup(free, "broker = \"no/such/folder/table\""), 3, "its folder must exist and be writable"),
     ] {
         std::fs::write(&file, text).unwrap();
         let output = program(&file).env("RUST_LOG", "off").output().unwrap();
