@@ -13,6 +13,8 @@ use cosmic_linux::link::LinkAddress;
 use cosmic_monitor::hexadecimal;
 use cosmic_plan::units;
 
+use crate::choice::Choice;
+
 /// Watch, record and examine a COSMIC segment.
 ///
 /// Most commands only listen: they take no TxNode, and the segment does not notice them. `sub`, `pub`, `broker` and
@@ -31,7 +33,7 @@ Exit codes:
   0  all is well
   1  `doctor` found an error, or nothing was heard of what was asked for
   2  an option, a file or a value is wrong
-  3  the segment cannot be reached, or no broker answers
+  3  the segment or the network cannot be reached, or no broker answers
 
 Colours are used on a terminal only, and not where NO_COLOR is set.";
 
@@ -39,9 +41,10 @@ Colours are used on a terminal only, and not where NO_COLOR is set.";
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Common {
     /// How to reach the segment: sim:PATH (a simulated one), slcan:DEVICE, socketcand:HOST:PORT (or :PORT:BUS), can:INTERFACE, or
-    /// log:FILE (a recorded one: candump or pcapng).
+    /// log:FILE (a recorded one: candump or pcapng). Or what crosses between segments: zenoh:tcp/HOST:PORT, where a gateway
+    /// listens.
     #[arg(long, short, global = true, env = "COSMIC_LINK", value_name = "LINK")]
-    pub(crate) link: Option<LinkAddress>,
+    pub(crate) link: Option<Choice>,
     /// The file that describes the cluster: gives names, contents, deadlines and slots.
     #[arg(long, short, global = true, env = "COSMIC_CLUSTER", value_name = "FILE")]
     pub(crate) cluster: Option<PathBuf>,
@@ -51,6 +54,29 @@ pub(crate) struct Common {
     /// For machines: one JSON value, or one on each line where there is no end.
     #[arg(long, global = true)]
     pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) ip: AcrossIp,
+}
+
+/// What links of zenoh need to know.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Across IP")]
+pub(crate) struct AcrossIp {
+    /// The network that the gateways join: `network` in their configuration.
+    #[arg(long, global = true, env = "COSMIC_NETWORK")]
+    pub(crate) network: Option<String>,
+    /// As whom `sub` and `pub` take part: a name that no segment has; one is drawn if none is given.
+    #[arg(long, global = true)]
+    pub(crate) name: Option<String>,
+    /// Who has signed the certificates of the others, for zenoh:tls/.
+    #[arg(long, global = true, value_name = "FILE")]
+    pub(crate) authority: Option<PathBuf>,
+    /// Our own certificate.
+    #[arg(long, global = true, value_name = "FILE")]
+    pub(crate) certificate: Option<PathBuf>,
+    /// Its key.
+    #[arg(long, global = true, value_name = "FILE")]
+    pub(crate) key: Option<PathBuf>,
 }
 
 /// What to do.
@@ -87,6 +113,9 @@ pub(crate) enum Command {
     Broker(Host),
     /// Says what is wrong with the segment, and what to do.
     Doctor(Listen),
+    /// Joins segments over IP, by a configuration: docs/gateway.md has an example.
+    #[cfg(feature = "ip")]
+    Gateway(cosmic_gateway::program::Options),
     /// Serves a simulated segment at a socket, for links sim:PATH.
     Segment {
         /// Where.
@@ -97,6 +126,18 @@ pub(crate) enum Command {
         /// The shell.
         shell: Shell,
     },
+}
+
+impl Command {
+    /// Returns whether it looks at what --link names.
+    pub(crate) const fn takes_link(&self) -> bool {
+        match self {
+            Self::Decode { .. } | Self::Segment { .. } | Self::Completions { .. } => false,
+            #[cfg(feature = "ip")]
+            Self::Gateway(_) => false,
+            _ => true,
+        }
+    }
 }
 
 /// For how long to listen.

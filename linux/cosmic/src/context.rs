@@ -9,6 +9,7 @@ use cosmic_log::learn_bindings;
 use cosmic_monitor::{Monitor, SegmentPlan};
 
 use crate::arguments::Common;
+use crate::choice::Choice;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::source::Source;
@@ -23,11 +24,15 @@ pub(crate) struct Context {
 impl Context {
     /// The link or log that was chosen.
     pub(crate) fn link(&self) -> Result<&LinkAddress, Failure> {
-        self.common.link.as_ref().ok_or_else(|| {
-            Failure::input(
+        match &self.common.link {
+            Some(Choice::Bus(address)) => Ok(address),
+            Some(Choice::Ip(_)) => {
+                Err(Failure::input("this is not done across IP: give a link to a segment"))
+            }
+            None => Err(Failure::input(
                 "no link was given: say --link sim:PATH, or another (see --help), or set COSMIC_LINK",
-            )
-        })
+            )),
+        }
     }
 
     /// The bit rate of the segment.
@@ -53,7 +58,7 @@ impl Context {
     /// The same; of a log it knows already what etags stand for.
     pub(crate) fn informed_monitor(&self, now: Instant) -> Monitor {
         let mut monitor = self.monitor(now);
-        if let Some(LinkAddress::Log(file)) = &self.common.link {
+        if let Some(Choice::Bus(LinkAddress::Log(file))) = &self.common.link {
             learn_bindings(&mut monitor, file);
         }
         monitor

@@ -5,9 +5,13 @@
 #![forbid(unsafe_code)]
 
 mod arguments;
+mod choice;
 mod commands;
 mod context;
+mod distances;
 mod failure;
+#[cfg(feature = "ip")]
+mod ip;
 mod output;
 mod source;
 mod top;
@@ -21,7 +25,16 @@ use arguments::Arguments;
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let runtime = match tokio::runtime::Builder::new_current_thread().enable_all().build() {
+    #[cfg(feature = "ip")]
+    if let arguments::Command::Gateway(gateway) = &arguments.command {
+        return cosmic_gateway::program::run(gateway, "cosmic");
+    }
+    let mut builder = match arguments.common.link {
+        // zenoh needs threads.
+        Some(choice::Choice::Ip(_)) => tokio::runtime::Builder::new_multi_thread(),
+        _ => tokio::runtime::Builder::new_current_thread(),
+    };
+    let runtime = match builder.enable_all().build() {
         Ok(runtime) => runtime,
         Err(error) => {
             eprintln!("cosmic: no runtime: {error}; allow this program more open files");

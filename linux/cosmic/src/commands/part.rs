@@ -84,6 +84,32 @@ pub(super) fn soft_channel(
     }
 }
 
+/// The channel that is to be subscribed to.
+pub(crate) fn subscribed(
+    plan: Option<&SegmentPlan>,
+    options: &Subscribe,
+) -> Result<(Declared, Option<usize>), Failure> {
+    let given = |subject| {
+        if options.messages { messages(subject, None) } else { soft(subject, DEADLINE, DEADLINE) }
+    };
+    channel(plan, &options.channel, options.etag, given)
+}
+
+/// The channel that is to be published on.
+pub(crate) fn published(
+    plan: Option<&SegmentPlan>,
+    options: &Publish,
+) -> Result<(Declared, Option<usize>), Failure> {
+    channel(plan, &options.channel, options.etag, |subject| match options.class {
+        _ if options.messages => messages(subject, options.validity),
+        Class::Srt => {
+            let deadline = options.deadline.unwrap_or(DEADLINE);
+            soft(subject, deadline, options.validity.unwrap_or(4 * deadline))
+        }
+        Class::Nrt => Declared::Events(Channel::non_real_time(subject, least(options.validity))),
+    })
+}
+
 /// Waits until a node has its names, or says who did not give them.
 pub(super) async fn named<F: Future>(identity: &Identity, names: F) -> Result<F::Output, Failure> {
     tokio::time::timeout(std_span(identity.patience), names).await.map_err(|_| {
@@ -108,10 +134,7 @@ struct Line<'a> {
 
 /// `cosmic sub`
 pub(super) async fn subscribe(context: &mut Context, options: &Subscribe) -> Result<ExitCode, Failure> {
-    let given = |subject| {
-        if options.messages { messages(subject, None) } else { soft(subject, DEADLINE, DEADLINE) }
-    };
-    let (channel, at) = channel(context.plan.as_ref(), &options.channel, options.etag, given)?;
+    let (channel, at) = subscribed(context.plan.as_ref(), options)?;
     let node = start(context, &options.identity, None).await?;
     let events = Events::of(&node, &channel)?;
     named(&options.identity, node.configured()).await?;
@@ -214,15 +237,7 @@ const fn least(validity: Option<time::Duration>) -> NonRealTimeAttributes {
 
 /// `cosmic pub`
 pub(super) async fn publish(context: &mut Context, options: &Publish) -> Result<ExitCode, Failure> {
-    let given = |subject| match options.class {
-        _ if options.messages => messages(subject, options.validity),
-        Class::Srt => {
-            let deadline = options.deadline.unwrap_or(DEADLINE);
-            soft(subject, deadline, options.validity.unwrap_or(4 * deadline))
-        }
-        Class::Nrt => Declared::Events(Channel::non_real_time(subject, least(options.validity))),
-    };
-    let (channel, at) = channel(context.plan.as_ref(), &options.channel, options.etag, given)?;
+    let (channel, at) = published(context.plan.as_ref(), options)?;
     let content = content(context.plan.as_ref().zip(at), &options.content)?;
     let [published, sent, expired] = match channel {
         Declared::Events(channel) => publish_events(context, options, &channel, event_of(&content)?).await?,
@@ -323,7 +338,7 @@ async fn within_longest_wait(holds: impl Fn() -> bool) -> bool {
 }
 
 /// The bytes of `field=value` for each field, or of hexadecimal digits.
-pub(super) fn content(planned: Option<(&SegmentPlan, usize)>, words: &[String]) -> Result<Vec<u8>, Failure> {
+pub(crate) fn content(planned: Option<(&SegmentPlan, usize)>, words: &[String]) -> Result<Vec<u8>, Failure> {
     let pairs: Option<Vec<(&str, &str)>> = words.iter().map(|word| word.split_once('=')).collect();
     let bytes = match pairs.filter(|pairs| !pairs.is_empty()) {
         Some(pairs) => {
@@ -348,7 +363,7 @@ pub(super) fn content(planned: Option<(&SegmentPlan, usize)>, words: &[String]) 
 }
 
 /// The content of an event of one frame.
-pub(super) fn event_of(bytes: &[u8]) -> Result<Payload, Failure> {
+pub(crate) fn event_of(bytes: &[u8]) -> Result<Payload, Failure> {
     Payload::new(bytes).ok_or_else(|| {
         Failure::input(format!(
             "the content has {} bytes; an event has up to eight, a message more: on a channel of messages (--messages)",

@@ -117,7 +117,7 @@ fn draw(
 }
 
 /// The keys that are pressed, from a thread of their own: reading them waits. It ends with the program.
-fn keys() -> mpsc::Receiver<event::KeyEvent> {
+pub(crate) fn keys() -> mpsc::Receiver<event::KeyEvent> {
     let (sender, receiver) = mpsc::channel(16);
     std::thread::spawn(move || {
         while let Ok(event) = event::read() {

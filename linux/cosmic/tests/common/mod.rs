@@ -3,6 +3,7 @@
 
 #[path = "../../../monitor/tests/bed/mod.rs"]
 pub(crate) mod bed;
+pub(crate) mod gateway;
 pub(crate) mod terminal;
 
 use std::path::{Path, PathBuf};
@@ -23,6 +24,7 @@ pub(crate) const CLUSTER: &str = "cosmic-plan/examples/rover.toml";
 pub(crate) fn cosmic(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_cosmic"));
     command.current_dir(root()).args(arguments).env_remove("COSMIC_LINK").env_remove("COSMIC_CLUSTER");
+    command.env_remove("COSMIC_NETWORK");
     command.env_remove("NO_COLOR").stdin(Stdio::null());
     command
 }

@@ -1,0 +1,164 @@
+//! `cosmic sub` and `cosmic pub` across IP: as a node on IP alone, which is a segment of one node.
+
+use std::process::ExitCode;
+
+use cosmic_core::Subject;
+use cosmic_core::can::Payload;
+use cosmic_core::event_layer::{Channel, Depth, Event, Policy};
+use cosmic_gateway::counters::{Direction, Outcome};
+use cosmic_gateway::ip::{IpError, Node, Received};
+use cosmic_linux::{AnnounceError, drawn_uid};
+use cosmic_session::Declared;
+
+use super::words::{self, Line};
+use super::{CLOCKS, PATIENCE, name, network, std_span, unreachable_at};
+use crate::arguments::{Identity, Publish, Subscribe};
+use crate::choice::Endpoint;
+use crate::commands::part;
+use crate::context::Context;
+use crate::failure::{FOUND, Failure};
+use crate::source::sleep_until;
+
+/// A node on IP, when it is connected.
+async fn start(context: &Context, at: &Endpoint, identity: &Identity) -> Result<Node, Failure> {
+    if identity.uid.is_some() || identity.tx_node.is_some() {
+        return Err(Failure::input(
+            "a node on IP has neither UID nor TxNode: leave out --uid and --tx-node; --name says who it is",
+        ));
+    }
+    let (ip, network) = network(context, at)?;
+    let drawn = || format!("cosmic-{}", drawn_uid()).to_lowercase();
+    let name = name(&context.common.ip.name.clone().unwrap_or_else(drawn), "--name")?;
+    let node = Node::start(&ip, &network, &name).await;
+    let node = node.map_err(|error| Failure::link(error.to_string()))?;
+    let connected = tokio::time::timeout(PATIENCE, node.connected()).await;
+    connected.map_err(|_| unreachable_at(at))?;
+    Ok(node)
+}
+
+/// A node on IP has channels of events only.
+fn events(declared: Declared) -> Result<Channel<Payload>, Failure> {
+    match declared {
+        Declared::Events(channel) => Ok(channel),
+        Declared::Messages(_) => Err(Failure::input(
+            "a node on IP has no channels of messages of several frames: `cosmic echo` shows them across IP, too",
+        )),
+    }
+}
+
+/// `cosmic sub`
+pub(super) async fn subscribe(
+    context: &mut Context,
+    at: &Endpoint,
+    options: &Subscribe,
+) -> Result<ExitCode, Failure> {
+    let (declared, _) = part::subscribed(context.plan.as_ref(), options)?;
+    let channel = events(declared)?;
+    let node = start(context, at, &options.identity).await?;
+    let policy = Depth::new(QUEUE).map_or(Policy::Latest, Policy::Fifo);
+    let subscriber = node.subscribe(&channel, policy).await.map_err(refused)?;
+    let until = options.span.and_then(|span| tokio::time::Instant::now().checked_add(std_span(span)));
+    let (mut printed, began) = (0, node.now());
+    while options.count.is_none_or(|count| printed < count) {
+        let event = tokio::select! {
+            biased;
+            _ = tokio::signal::ctrl_c() => break,
+            () = sleep_until(until) => break,
+            event = subscriber.next() => event,
+        };
+        let at_ns = event.received_at.saturating_since(began).as_ticks();
+        line(context, channel.subject(), &event, at_ns).print(context)?;
+        printed += 1;
+    }
+    let dropped = node.count(Direction::In, Outcome::QueueFull);
+    if dropped > 0 {
+        eprintln!("cosmic: {dropped} events came too fast, and are not shown");
+    }
+    if printed == 0 && !context.output.json() {
+        eprintln!("cosmic: no event has come; `cosmic channels` across IP shows who publishes");
+    }
+    end(node).await;
+    Ok(if printed > 0 { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
+}
+
+fn line(context: &Context, subject: Subject, event: &Received<Payload>, at_ns: u64) -> Line {
+    let plan = context.plan.as_ref();
+    let (fields, malformed) = words::content(plan, subject, event.content.as_slice());
+    Line {
+        at_ns,
+        class: words::class(event.class),
+        segment: event.origin.segment.to_string(),
+        tx_node: event.origin.node.map(|node| node.get()),
+        subject: subject.to_string(),
+        channel: words::channel(plan, subject),
+        number: None,
+        missing: 0,
+        left_ns: words::left(event.deadline, event.received_at),
+        data: event.content.to_string(),
+        fields,
+        malformed,
+    }
+}
+
+/// `cosmic pub`
+pub(super) async fn publish(
+    context: &mut Context,
+    at: &Endpoint,
+    options: &Publish,
+) -> Result<ExitCode, Failure> {
+    let (declared, planned) = part::published(context.plan.as_ref(), options)?;
+    let channel = events(declared)?;
+    let content = part::event_of(&part::content(context.plan.as_ref().zip(planned), &options.content)?)?;
+    let node = start(context, at, &options.identity).await?;
+    let publisher = node.announce(&channel).await.map_err(refused)?;
+    let patience = std_span(options.identity.patience);
+    let wanted = tokio::time::timeout(patience, publisher.wanted()).await;
+    wanted.map_err(|_| {
+        let patience = cosmic_plan::units::show(options.identity.patience);
+        Failure::link(format!(
+            "nobody on this network has subscribed to {} within {patience}: no node, and no gateway on behalf of its segments",
+            options.channel
+        ))
+    })?;
+    // Before others know this node's clock, they discard what it sends.
+    let _ = tokio::time::timeout(CLOCKS, node.known()).await;
+    let mut published = 0_u64;
+    while published < options.count {
+        if published > 0 {
+            tokio::select! {
+                () = tokio::time::sleep(std_span(options.every)) => {}
+                _ = tokio::signal::ctrl_c() => break,
+            }
+        }
+        let mut event = Event::new(content);
+        event.deadline = options.deadline.map(|deadline| node.now() + deadline);
+        event.expires_at = options.validity.map(|validity| node.now() + validity);
+        publisher.publish_event(&event).map_err(|error| Failure::input(error.to_string()))?;
+        published += 1;
+    }
+    let sent = node.count(Direction::Out, Outcome::Forwarded);
+    drop(publisher);
+    end(node).await;
+    if context.output.json() {
+        context.output.value(&serde_json::json!({ "published": published, "sent": sent }))?;
+    } else {
+        eprintln!("cosmic: {published} published, {sent} sent");
+    }
+    Ok(if sent == options.count { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
+}
+
+fn refused(error: IpError) -> Failure {
+    match error {
+        IpError::Announce(AnnounceError::HardRealTime) => Failure::input(
+            "a hard real-time channel is published in its slot on a bus, and IP has none: publish it on its segment",
+        ),
+        other => Failure::link(other.to_string()),
+    }
+}
+
+async fn end(node: Node) {
+    let _ = tokio::time::timeout(PATIENCE, node.stop()).await;
+}
+
+/// Events that wait to be printed.
+const QUEUE: u8 = 254;
