@@ -7,6 +7,7 @@ use std::time::Duration as Span;
 
 use cosmic_gateway::config::{Ip, Mode};
 use cosmic_gateway::ip;
+use cosmic_page::Hub;
 
 use crate::between::Between;
 use crate::channels::{CHANNELS, COMMAND_ETAG, GATEWAYS_ETAG};
@@ -28,14 +29,22 @@ pub struct Bed {
     pub between: Between,
     /// A node on IP, at the gateway of the west.
     pub desk: ip::Node,
+    /// Where the gateway of the west listens on the loopback interface.
+    port: u16,
 }
 
 impl Bed {
-    /// Starts it, and waits until the gateways speak for their segments and know each other.
+    /// Starts it, and waits until the gateways speak for their segments and know each other. If it is `watched`, they tell of
+    /// each event.
     ///
     /// # Errors
     /// [`Failed`]
-    pub async fn start(ground: &Ground, material: Material<'_>, delay: Span) -> Result<Self, Failed> {
+    pub async fn start(
+        ground: &Ground,
+        material: Material<'_>,
+        delay: Span,
+        watched: bool,
+    ) -> Result<Self, Failed> {
         let failed = |what: String| Failed(what);
         let folder = tempfile::tempdir().map_err(|error| failed(format!("no folder: {error}")))?;
         let west = Served::start("west", folder.path(), material, &["sensor", "brake", "diagnostics"])?;
@@ -43,8 +52,8 @@ impl Bed {
         let program = std::env::current_exe();
         let program = program.map_err(|error| failed(format!("where am I? {error}")))?;
         let files = ["west.toml", "east.toml"].map(|file| folder.path().join(file));
-        let mut of_west = Process::start(Command::new(&program), "west", &files[0])?;
-        let mut of_east = Process::start(ground.far(&program), "east", &files[1])?;
+        let mut of_west = Process::start(Command::new(&program), "west", &files[0], watched)?;
+        let mut of_east = Process::start(ground.far(&program), "east", &files[1], watched)?;
         let port = free_port()?;
         let between = Between::lay(ground, delay, port, of_east.id()).await?;
         let listens: Vec<_> =
@@ -58,7 +67,7 @@ impl Bed {
         let ip = Ip { mode: Mode::Peer, connect: vec![format!("tcp/127.0.0.1:{port}")], ..Ip::default() };
         let desk = ip::Node::start(&ip, &name("test")?, &name("desk")?).await;
         let desk = desk.map_err(|error| failed(error.to_string()))?;
-        let mut bed = Self { _folder: folder, west, east, of_west, of_east, between, desk };
+        let mut bed = Self { _folder: folder, west, east, of_west, of_east, between, desk, port };
         bed.settled().await?;
         Ok(bed)
     }
@@ -77,6 +86,16 @@ impl Bed {
             tokio::time::sleep(Span::from_millis(20)).await;
         }
         Ok(())
+    }
+
+    /// Tells a page what crosses, from now on.
+    pub fn watch(&self, hub: &Hub) {
+        [&self.of_west, &self.of_east].into_iter().for_each(|process| process.watch(hub));
+    }
+
+    /// How `cosmic` reaches what crosses, in its words.
+    pub fn link_on_ip(&self) -> String {
+        format!("zenoh:tcp/127.0.0.1:{} --network test", self.port)
     }
 
     /// How the gateway of the east is.

@@ -6,6 +6,8 @@ use cosmic_core::Subject;
 pub const TEMPERATURE: Subject = Subject::new(0xC05A_1C00_0000_0002).unwrap();
 /// The etag of commands; those of pings and pongs come next.
 pub const COMMAND_ETAG: u16 = 9000;
+/// Of commands, pings and pongs.
+pub const SUBJECTS: [u64; 3] = [0xC05A_1C00_0000_00C0, 0xC05A_1C00_0000_00C1, 0xC05A_1C00_0000_00C2];
 /// The etag of the gateways' beacons.
 pub const GATEWAYS_ETAG: u16 = 9010;
 

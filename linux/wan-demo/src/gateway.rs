@@ -6,7 +6,7 @@
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration as Span;
 
 use cosmic_core::can::Etag;
@@ -14,6 +14,7 @@ use cosmic_gateway::Gateway;
 use cosmic_gateway::config::Config;
 use cosmic_gateway::counters::{Direction, Outcome};
 use cosmic_gateway::keys::Name;
+use cosmic_page::{Crossing, Hub};
 use serde::{Deserialize, Serialize};
 use tokio::io::AsyncReadExt as _;
 
@@ -33,6 +34,9 @@ pub struct Status {
     pub temperature: Option<u16>,
     /// What became of events.
     pub outcomes: Vec<(String, u64)>,
+    /// Events since it told last, if they are wanted.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub crossed: Vec<Crossing>,
 }
 
 /// A gateway that runs. It ends when this is dropped.
@@ -40,6 +44,8 @@ pub struct Process {
     segment: &'static str,
     child: Child,
     status: Arc<Mutex<Status>>,
+    /// Who is told what crosses.
+    hub: Arc<OnceLock<Hub>>,
 }
 
 impl Drop for Process {
@@ -54,24 +60,42 @@ impl Process {
     ///
     /// # Errors
     /// It cannot be run, or ends.
-    pub fn start(mut command: Command, segment: &'static str, config: &Path) -> Result<Self, Failed> {
+    pub fn start(
+        mut command: Command,
+        segment: &'static str,
+        config: &Path,
+        watched: bool,
+    ) -> Result<Self, Failed> {
         command.arg("--gateway").arg(config).arg("--segment").arg(segment);
+        if watched {
+            command.arg("--watched");
+        }
         let started = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
         let mut child = started.map_err(|error| Failed(format!("a gateway cannot be started: {error}")))?;
         let status = Arc::new(Mutex::new(Status::default()));
         let output = child.stdout.take();
-        let process = Self { segment, child, status };
+        let process = Self { segment, child, status, hub: Arc::default() };
         let mut lines = BufReader::new(output.ok_or_else(|| process.ended())?).lines().map_while(Result::ok);
         if lines.next().as_deref() != Some(HERE) {
             return Err(process.ended());
         }
-        let status = Arc::clone(&process.status);
+        let (status, hub) = (Arc::clone(&process.status), Arc::clone(&process.hub));
         std::thread::spawn(move || {
-            for told in lines.filter_map(|line| serde_json::from_str(&line).ok()) {
+            for mut told in lines.filter_map(|line| serde_json::from_str::<Status>(&line).ok()) {
+                let crossed = std::mem::take(&mut told.crossed);
+                if let Some(hub) = hub.get() {
+                    crossed.into_iter().for_each(|crossing| hub.crossed(crossing));
+                }
                 *lock(&status) = told;
             }
         });
         Ok(process)
+    }
+
+    /// Tells a page what crosses, from now on, if it was started so.
+    pub fn watch(&self, hub: &Hub) {
+        // It is told once.
+        let _ = self.hub.set(hub.clone());
     }
 
     /// Its number to the kernel.
@@ -104,15 +128,15 @@ impl Process {
     }
 }
 
-fn lock(status: &Mutex<Status>) -> MutexGuard<'_, Status> {
-    status.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Is a gateway: what the process does that was started so. Ends with its standard input.
 ///
 /// # Errors
 /// The configuration is wrong, or the gateway cannot start or go on.
-pub async fn be(config: &Path, segment: &str) -> Result<(), Failed> {
+pub async fn be(config: &Path, segment: &str, watched: bool) -> Result<(), Failed> {
     let tell = |line: &str| writeln!(std::io::stdout(), "{line}").is_ok();
     tell(HERE);
     let mut input = tokio::io::stdin();
@@ -122,7 +146,20 @@ pub async fn be(config: &Path, segment: &str) -> Result<(), Failed> {
     }
     let segment = name(segment)?;
     let config = Config::read(config).map_err(|problems| Failed(problems.to_string()))?;
-    let mut gateway = Gateway::start(&config).await.map_err(|error| Failed(error.to_string()))?;
+    let crossed = Arc::new(Mutex::new(Vec::new()));
+    let started = if watched {
+        let all = Arc::clone(&crossed);
+        let watch = move |crossing: &cosmic_gateway::Crossing<'_>, outcome| {
+            let mut all = lock(&all);
+            if all.len() < MOST_CROSSED {
+                all.push(cosmic_gateway::shown(crossing, outcome));
+            }
+        };
+        Gateway::start_watched(&config, Box::new(watch)).await
+    } else {
+        Gateway::start(&config).await
+    };
+    let mut gateway = started.map_err(|error| Failed(error.to_string()))?;
     let mut ticks = tokio::time::interval(Span::from_millis(50));
     let mut told = 0;
     loop {
@@ -133,7 +170,8 @@ pub async fn be(config: &Path, segment: &str) -> Result<(), Failed> {
             error = gateway.ended() => return Err(Failed(error.to_string())),
         }
         told += 1;
-        let line = serde_json::to_string(&status(&gateway, &segment, told));
+        let crossed = std::mem::take(&mut *lock(&crossed));
+        let line = serde_json::to_string(&Status { crossed, ..status(&gateway, &segment, told) });
         if !tell(&line.map_err(|error| Failed(error.to_string()))?) {
             break;
         }
@@ -150,6 +188,7 @@ fn status(gateway: &Gateway, segment: &Name, told: u64) -> Status {
         known: gateway.others().1,
         temperature,
         outcomes: outcomes(gateway, segment),
+        crossed: Vec::new(),
     }
 }
 
@@ -169,3 +208,5 @@ fn outcomes(gateway: &Gateway, segment: &Name) -> Vec<(String, u64)> {
 
 /// The first line: the process is there, in its network.
 const HERE: &str = "here";
+/// So many events are told at once, at most.
+const MOST_CROSSED: usize = 1_000;

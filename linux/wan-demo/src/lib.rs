@@ -8,6 +8,7 @@ pub mod commands;
 pub mod failed;
 pub mod gateway;
 pub mod ground;
+pub mod page;
 pub mod picture;
 pub mod report;
 pub mod round_trips;

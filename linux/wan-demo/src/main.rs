@@ -4,6 +4,7 @@
 
 use std::future::Future;
 use std::io::Write as _;
+use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration as Span;
 
@@ -17,13 +18,17 @@ use cosmic_wan_demo::ground::Ground;
 use cosmic_wan_demo::report::Report;
 use cosmic_wan_demo::round_trips::{End, RoundTrips, measure};
 use cosmic_wan_demo::served::Material;
-use cosmic_wan_demo::{commands, picture};
+use cosmic_wan_demo::{commands, page, picture};
+use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
+use tokio::task::JoinSet;
 
 fn main() -> ExitCode {
     let options = Options::parse();
     let ran = match (&options.gateway, &options.segment) {
-        (Some(config), Some(segment)) => in_threads(gateway::be(config, segment)).map(|()| true),
+        (Some(config), Some(segment)) => {
+            in_threads(gateway::be(config, segment, options.watched)).map(|()| true)
+        }
         _ => ground(&options).and_then(|ground| in_threads(until_told_to_end(&options, &ground))),
     };
     match ran {
@@ -40,6 +45,8 @@ fn main() -> ExitCode {
 fn ground(options: &Options) -> Result<Ground, Failed> {
     if options.entered {
         Ground::entered()
+    } else if options.page.is_some() {
+        Ok(Ground::Loopback("--page: browsers and tools are to reach them".to_owned()))
     } else if options.loopback {
         Ok(Ground::Loopback("--loopback".to_owned()))
     } else {
@@ -60,14 +67,29 @@ fn in_threads<T>(work: impl Future<Output = Result<T, Failed>>) -> Result<T, Fai
 async fn until_told_to_end(options: &Options, ground: &Ground) -> Result<bool, Failed> {
     let heard = |kind| signal(kind).map_err(|error| Failed(format!("no signals: {error}")));
     let (mut interrupt, mut terminate) = (heard(SignalKind::interrupt())?, heard(SignalKind::terminate())?);
-    tokio::select! {
-        report = run(options, ground) => Ok(report?.broken.is_empty()),
-        _ = interrupt.recv() => Err(Failed("interrupted".to_owned())),
-        _ = terminate.recv() => Err(Failed("told to end".to_owned())),
+    let (report, running) = tokio::select! {
+        ran = run(options, ground) => ran?,
+        _ = interrupt.recv() => return Err(Failed("interrupted".to_owned())),
+        _ = terminate.recv() => return Err(Failed("told to end".to_owned())),
+    };
+    if options.page.is_some() {
+        eprintln!("wan-demo: segments, gateways and the page stay until Ctrl-C");
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
     }
+    drop(running);
+    Ok(report.broken.is_empty())
 }
 
-async fn run(options: &Options, ground: &Ground) -> Result<Report, Failed> {
+/// What runs on as long as this lives.
+struct Running {
+    _bed: Bed,
+    _page: JoinSet<()>,
+}
+
+async fn run(options: &Options, ground: &Ground) -> Result<(Report, Running), Failed> {
     let files = Files::open(options).map_err(|error| Failed(error.to_string()))?;
     let missing = |what: &str| Failed(format!("say which {what}; `cargo xtask demo --wan` does"));
     let cluster = options.cluster.as_ref().ok_or_else(|| missing("cluster: --cluster FILE"))?;
@@ -77,10 +99,18 @@ async fn run(options: &Options, ground: &Ground) -> Result<Report, Failed> {
     let absolute = std::path::absolute(cluster);
     let cluster = &absolute.map_err(|error| Failed(format!("{}: {error}", cluster.display())))?;
     let material = Material { server, images, cluster };
+    let listener = match options.page {
+        Some(address) => Some(page::listen(address).await?),
+        None => None,
+    };
     eprintln!("wan-demo: starting two emulated segments, two gateways, and a way between them");
     let delay = Span::from_millis(options.delay);
-    let mut bed = Bed::start(ground, material, delay).await?;
+    let mut bed = Bed::start(ground, material, delay, options.page.is_some()).await?;
     eprintln!("wan-demo: between the gateways: {}", bed.between.words());
+    let page = match listener {
+        Some(listener) => open(&bed, cluster, listener)?,
+        None => JoinSet::new(),
+    };
     eprintln!("wan-demo: measuring round trips");
     let round_trips = round_trips(&bed, options.rounds).await?;
     eprintln!("wan-demo: commands, and a cut of {} s", options.cut);
@@ -92,7 +122,18 @@ async fn run(options: &Options, ground: &Ground) -> Result<Report, Failed> {
     print!("{report}");
     let image = files.fill(&report).map_err(|error| Failed(error.to_string()))?;
     println!("picture: {image}");
-    Ok(report)
+    Ok((report, Running { _bed: bed, _page: page }))
+}
+
+/// Serves the page, and says where it is and how other tools reach what runs.
+fn open(bed: &Bed, cluster: &Path, listener: TcpListener) -> Result<JoinSet<()>, Failed> {
+    let address = listener.local_addr().map_err(|error| Failed(error.to_string()))?;
+    let page = page::serve(bed, cluster, listener)?;
+    eprintln!("wan-demo: the page: http://{address}/");
+    for link in [bed.west.link(), bed.east.link(), bed.link_on_ip()] {
+        eprintln!("wan-demo: for other tools: cosmic -c {} -l {link}", cluster.display());
+    }
+    Ok(page)
 }
 
 async fn round_trips(bed: &Bed, rounds: u32) -> Result<Vec<RoundTrips>, Failed> {

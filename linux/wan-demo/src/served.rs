@@ -97,6 +97,11 @@ impl Served {
         Node::start(config, SegmentLink::new(&self.path)).map_err(|error| Failed(error.to_string()))
     }
 
+    /// How `cosmic` reaches it, in its words.
+    pub fn link(&self) -> String {
+        format!("sim:{}", self.path.display())
+    }
+
     /// What is on its bus.
     pub fn tap(&self) -> Tap {
         Tap::start(SegmentLink::new(&self.path))

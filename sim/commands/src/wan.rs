@@ -1,5 +1,6 @@
 //! The options of the demo of the gateway.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::Parser;
@@ -37,6 +38,11 @@ pub struct Options {
     #[arg(long)]
     pub loopback: bool,
 
+    /// Serve a live page of both segments and of what crosses, at this address, and stay until Ctrl-C; joins the gateways by
+    /// the loopback interface [default address: 127.0.0.1:8117]
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8117")]
+    pub page: Option<SocketAddr>,
+
     /// Also write the report as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -68,6 +74,10 @@ pub struct Options {
     /// Of this segment
     #[arg(long, value_name = "NAME", hide = true, requires = "gateway")]
     pub segment: Option<String>,
+
+    /// Somebody wants to be told of each event
+    #[arg(long, hide = true, requires = "gateway")]
+    pub watched: bool,
 }
 
 impl Options {
@@ -99,7 +109,15 @@ mod tests {
         let read =
             |list: &[&str]| Options::read(&list.iter().map(|&text| text.to_owned()).collect::<Vec<_>>());
         assert_eq!(read(&["--cut", "30"]).unwrap().cut, 30);
-        for wrong in [&["--cut", "0"], &["--delay", "-1"], &["--rounds", "many"], &["--colour", "no"]] {
+        assert_eq!(read(&["--page", "--cut", "3"]).unwrap().page.map(|page| page.port()), Some(8117));
+        assert_eq!(read(&["--page", "127.0.0.1:0"]).unwrap().page.map(|page| page.port()), Some(0));
+        for wrong in [
+            &["--page", "here"],
+            &["--cut", "0"],
+            &["--delay", "-1"],
+            &["--rounds", "many"],
+            &["--colour", "no"],
+        ] {
             assert!(read(wrong).is_err(), "{wrong:?}");
         }
     }
