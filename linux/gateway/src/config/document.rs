@@ -150,7 +150,8 @@ impl Reader<'_> {
 /// `[page]`: the live page.
 fn read_page(table: &Table<'_>) -> Option<PageConfig> {
     let address = |text: &str| text.parse().ok();
-    let listen = values::required_text(table, "listen", address, "write an address, such as \"127.0.0.1:8117\"");
+    let listen =
+        values::required_text(table, "listen", address, "write an address, such as \"127.0.0.1:8117\"");
     let host = |text: &str| Some(text.to_owned()).filter(|text| !text.is_empty());
     let hosts = values::list(table, "hosts", host, "write a name, such as \"gateway.example\"");
     table.finish();
