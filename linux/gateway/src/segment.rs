@@ -14,7 +14,8 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::protocol::{Class, LayoutHash, Side};
 use cosmic_core::time::{Duration, Instant};
-use cosmic_linux::{Config, Node, Publisher, Subscriber, calendar_without_slots};
+use cosmic_linux::{Node, Publisher, Subscriber};
+use cosmic_session::node_config;
 use tokio::sync::Notify;
 
 pub(crate) use beacons::keep_leader;
@@ -113,13 +114,9 @@ impl Segment {
         metrics: &Metrics,
     ) -> Result<Self, StartError> {
         let refused = |what: String| StartError::segment(&config.name, what);
-        let calendar = match &config.plan {
-            // Once for each segment, for as long as the program runs.
-            Some(plan) => &*Box::leak(Box::new(plan.calendar())),
-            None => calendar_without_slots(config.bit_rate),
-        };
-        let mut of_node = Config::new(config.uid).calendar(calendar);
+        let mut of_node = node_config(config.uid, config.plan.as_ref(), config.bit_rate);
         of_node.node.tx_node = config.tx_node;
+        let step = of_node.calendar.priority_step();
         if let Some(table) = table {
             of_node = of_node.broker(table.contents().clone());
         }
@@ -150,7 +147,7 @@ impl Segment {
             node,
             leadership: Mutex::new(Leadership::new(group)),
             ceiling: Mutex::new(Ceiling::new(config.bit_rate, config.ceiling)),
-            step: calendar.priority_step(),
+            step,
             etag_of_gateways: config.etags.get(&crate::config::GATEWAYS).copied(),
             passed_over: Mutex::new(PassedOver::default()),
             incoming: incoming.clone(),
