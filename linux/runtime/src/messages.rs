@@ -4,33 +4,27 @@
 //! | bound | |
 //! |---|---|
 //! | bytes of a message | 1024 |
-//! | messages of a channel that wait to be sent | [`WAITING_MESSAGES`], one more is on its way |
-//! | publishers of a channel whose messages arrive at the same time | [`MESSAGES_AT_ONCE`] |
+//! | messages of a channel that wait to be sent | [`WAITING_MESSAGES`](crate::WAITING_MESSAGES), one more is on its way |
+//! | publishers of a channel whose messages arrive at the same time | [`MESSAGES_AT_ONCE`](crate::MESSAGES_AT_ONCE) |
 //! | whole messages that wait for a subscriber | its [`Policy`] |
 //! | until a message is given up of which nothing more comes | two seconds |
 
 use std::collections::VecDeque;
 use std::future::poll_fn;
 use std::marker::PhantomData;
-use std::task::{Poll, Waker};
+use std::task::Poll;
 
 use cosmic_core::Subject;
-use cosmic_core::can::{Id, Priority};
 use cosmic_core::event_layer::{
-    self, Attributes, ChannelCounters, Content, Context, Delivered, Depth, Filter, MessageChannel, Policy,
-    PublishError, SubscribeError,
+    self, Attributes, ChannelCounters, Content, Delivered, Filter, MessageChannel, Policy, PublishError,
+    SubscribeError,
 };
-use cosmic_core::network::fragments::{MAX_MESSAGE_LEN, ReassemblyCounters};
-use cosmic_core::time::{Duration, Instant};
+use cosmic_core::network::fragments::ReassemblyCounters;
+use cosmic_core::time::Duration;
 
 use crate::application::AnnounceError;
+use crate::message_queues::{FRAMES, Inbox, MESSAGES_AT_ONCE, Outbox, TIME_OUT};
 use crate::node::Node;
-use crate::shared::{Core, Half};
-
-/// Messages of a channel that wait to be sent, beside the one that is.
-pub const WAITING_MESSAGES: usize = 8;
-/// So many nodes may send a message of several frames on one channel at the same time.
-pub const MESSAGES_AT_ONCE: usize = 32;
 
 /// The right to publish messages on a channel. Given up when it is dropped; messages that wait to be sent are then
 /// discarded, if it was the last one of the channel.
@@ -114,7 +108,7 @@ impl<C: Content> MessagePublisher<C> {
     /// Publishes a message. Never waits.
     ///
     /// # Errors
-    /// [`PublishError::NotBound`]; [`PublishError::QueueFull`]: [`WAITING_MESSAGES`] wait to be sent.
+    /// [`PublishError::NotBound`]; [`PublishError::QueueFull`]: [`WAITING_MESSAGES`](crate::WAITING_MESSAGES) wait to be sent.
     pub fn publish(&self, content: &C) -> Result<(), PublishError> {
         self.publish_within(content, None)
     }
@@ -230,164 +224,3 @@ impl<C> Drop for MessageSubscriber<C> {
         });
     }
 }
-
-/// The messages of a node.
-#[derive(Default)]
-pub(crate) struct Messages {
-    /// One for each channel.
-    outboxes: Vec<Outbox>,
-    inboxes: Vec<Inbox>,
-    last_number: u64,
-}
-
-struct Outbox {
-    subject: Subject,
-    publisher: Box<event_layer::MessagePublisher<MAX_MESSAGE_LEN>>,
-    /// With the instant from which on they are of no use.
-    waiting: VecDeque<(Vec<u8>, Option<Instant>)>,
-    validity: Option<Duration>,
-    holders: usize,
-    /// Of what happened here, not in the core.
-    counters: ChannelCounters,
-}
-
-struct Inbox {
-    number: u64,
-    subject: Subject,
-    subscriber: Box<event_layer::MessageSubscriber<MESSAGES_AT_ONCE, MAX_MESSAGE_LEN>>,
-    is_content: fn(&[u8]) -> bool,
-    waiting: VecDeque<Delivered<Vec<u8>>>,
-    policy: Policy,
-    waker: Option<Waker>,
-    /// Of what happened here, not in the core.
-    counters: ChannelCounters,
-}
-
-impl Messages {
-    /// Takes what has arrived, and sends what can leave; at the end, calls of the core may be due. O(messages that are
-    /// complete or waiting + frames that wait).
-    pub(crate) fn attend(core: &mut Core, now: Instant) -> bool {
-        let Core { half, messages, .. } = core;
-        messages.inboxes.iter_mut().for_each(|inbox| inbox.receive(half, now));
-        let mut dues = Vec::new();
-        for outbox in &mut messages.outboxes {
-            outbox.send(half, now, &mut dues);
-        }
-        let any = !dues.is_empty();
-        dues.into_iter().for_each(|due| core.carry_out(due, now));
-        any
-    }
-
-    /// When there is a message to be given up, if nothing happens before.
-    pub(crate) fn next_wakeup(&self) -> Instant {
-        let wakeups = self.inboxes.iter().map(|inbox| inbox.subscriber.next_wakeup());
-        wakeups.min().unwrap_or(Instant::FAR_FUTURE)
-    }
-
-    /// What happened to whole messages of a channel, beside what the core counts of their frames.
-    pub(crate) fn add_to(&self, subject: Subject, counters: &mut ChannelCounters) {
-        let inboxes = self.inboxes.iter().filter(|it| it.subject == subject).map(|it| &it.counters);
-        let outboxes = self.outboxes.iter().filter(|it| it.subject == subject).map(|it| &it.counters);
-        for of_messages in inboxes.chain(outboxes) {
-            counters.refused = counters.refused.wrapping_add(of_messages.refused);
-            counters.discarded = counters.discarded.wrapping_add(of_messages.discarded);
-            counters.published = counters.published.wrapping_add(of_messages.published);
-            counters.overflowed = counters.overflowed.wrapping_add(of_messages.overflowed);
-            counters.replaced = counters.replaced.wrapping_add(of_messages.replaced);
-        }
-    }
-}
-
-impl Outbox {
-    fn take(
-        &mut self,
-        now: Instant,
-        content: Vec<u8>,
-        validity: Option<Duration>,
-    ) -> Result<(), PublishError> {
-        if self.waiting.len() >= WAITING_MESSAGES {
-            self.counters.refused = self.counters.refused.wrapping_add(1);
-            return Err(PublishError::QueueFull);
-        }
-        let expires_at = validity.or(self.validity).map(|validity| now + validity);
-        self.waiting.push_back((content, expires_at));
-        Ok(())
-    }
-
-    /// Ends: each turn starts a message that waits, or is the last.
-    fn send(&mut self, half: &mut Half, now: Instant, dues: &mut Vec<cosmic_core::event_half::Due>) {
-        loop {
-            // Of a message that cannot be sent, the counters of its channel say so.
-            if let Ok(due) = half.send_message(now, &mut self.publisher)
-                && due.command().is_some()
-            {
-                dues.push(due);
-            }
-            if !self.publisher.is_idle() {
-                return;
-            }
-            let Some((content, expires_at)) = self.waiting.pop_front() else { return };
-            if expires_at.is_some_and(|expires_at| expires_at <= now) {
-                // It counts as one event.
-                self.counters.published = self.counters.published.wrapping_add(1);
-                self.counters.discarded = self.counters.discarded.wrapping_add(1);
-                continue;
-            }
-            // It is idle, and nothing longer is taken.
-            let _ = self.publisher.start(&content);
-        }
-    }
-}
-
-impl Inbox {
-    fn receive(&mut self, half: &mut Half, now: Instant) {
-        loop {
-            let is_content = self.is_content;
-            let whole = half.poll_message(
-                &mut self.subscriber,
-                now,
-                Waker::noop(),
-                |_| (),
-                |message| {
-                    let id = Id::new(Priority::LEAST, message.publisher, message.etag);
-                    is_content(message.content).then(|| (id, message.content.to_vec()))
-                },
-            );
-            let Poll::Ready((id, content)) = whole else { return };
-            let (context, publisher) = (Context::EMPTY, id.tx_node());
-            self.put(Delivered { content, context, publisher, id, received_at: now });
-        }
-    }
-
-    fn put(&mut self, message: Delivered<Vec<u8>>) {
-        match self.policy {
-            Policy::Latest => {
-                let replaced = self.waiting.len();
-                self.waiting.clear();
-                self.counters.replaced = self.counters.replaced.wrapping_add(u32::from(replaced > 0));
-            }
-            Policy::Fifo(depth) | Policy::DeadlineOrder(depth) => {
-                if self.waiting.len() >= usize::from(depth.get()) {
-                    self.counters.overflowed = self.counters.overflowed.wrapping_add(1);
-                    return;
-                }
-            }
-        }
-        self.waiting.push_back(message);
-        if let Some(waker) = self.waker.take() {
-            waker.wake();
-        }
-    }
-
-    fn next<C: Content>(&mut self) -> Option<Delivered<C>> {
-        let Delivered { content, context, publisher, id, received_at } = self.waiting.pop_front()?;
-        // Only such bytes are taken.
-        let content = C::decode(&content)?;
-        Some(Delivered { content, context, publisher, id, received_at })
-    }
-}
-
-/// Frames are put together as they come; so many may come between two looks.
-const FRAMES: Depth = Depth::new(254).unwrap();
-/// A message of which nothing more comes for so long is given up.
-const TIME_OUT: Duration = Duration::from_secs(2);

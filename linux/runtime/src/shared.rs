@@ -5,37 +5,20 @@ use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use cosmic_bus::WireFrame;
+use cosmic_core::broker;
 use cosmic_core::calendar::Calendar;
 use cosmic_core::can::{Command, ErrorCounters, Etag, Frame, Mailbox, Outcome, Payload, Priority, TxNode};
-use cosmic_core::event_half::{Due, EventHalf, Input, Step, outcome, receive};
+use cosmic_core::event_half::{Due, Input, Step, outcome, receive};
 use cosmic_core::network::hard::HrtBuffers;
-use cosmic_core::services::{AdmittingBroker, News, NodeServices};
+use cosmic_core::services::News;
 use cosmic_core::time::{Duration, GlobalClock, Instant};
-use cosmic_core::{broker, network};
 use tokio::sync::{Notify, broadcast, watch};
 
 use crate::config::{Config, StartError};
+use crate::half::{Broker, Half, Hosting, Services};
 use crate::link::{End, LinkCounters, LinkError};
-use crate::messages::Messages;
+use crate::message_queues::Messages;
 use crate::places::{Handover, Places};
-
-/// Nodes that a hosted broker has ids for.
-pub const BROKER_NODES: usize = 127;
-/// Subjects that a hosted broker has etags for.
-pub const BROKER_SUBJECTS: usize = 4096;
-
-/// A broker that a Linux node hosts.
-pub type Broker = broker::Broker<BROKER_NODES, BROKER_SUBJECTS>;
-
-/// Soft real-time channels beside the plan that the node of a hosted broker can admit.
-pub const BROKER_ADMITS: usize = 128;
-
-type Hosting = AdmittingBroker<BROKER_NODES, BROKER_SUBJECTS, BROKER_ADMITS>;
-
-pub(crate) const CHANNELS: usize = 128;
-type Services = NodeServices<CHANNELS, { 2 * CHANNELS }, 126, 1024, Option<Hosting>>;
-/// A Linux node has memory: as much as the core can number. It takes part in no slot, so one buffer does.
-pub(crate) type Half = EventHalf<1, CHANNELS, 254, 255, 128, 128, Services>;
 
 pub(crate) struct Shared {
     core: Mutex<Core>,
@@ -303,7 +286,9 @@ impl Core {
                 Step::Command(command) => self.execute(&command, now),
                 Step::SleepUntil(instant) => {
                     // What a message loads leaves its place before the next of its frames.
-                    if Messages::attend(self, now) {
+                    let dues = self.messages.attend(&mut self.half, now);
+                    if !dues.is_empty() {
+                        dues.into_iter().for_each(|due| self.carry_out(due, now));
                         continue;
                     }
                     self.next_wakeup = instant.min(self.messages.next_wakeup());
@@ -348,5 +333,3 @@ const EARLIEST: Instant = Instant::from_epoch(Duration::from_secs(3_600));
 
 /// News that wait for whoever listens.
 const NEWS: usize = 1024;
-
-const _: () = assert!(CHANNELS <= 128 && network::soft::RESERVED < 128);

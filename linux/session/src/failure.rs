@@ -5,8 +5,6 @@ use std::time::Duration;
 
 use cosmic_core::event_layer::PublishError;
 
-use crate::subscription::Closed;
-
 /// Why a call did not do what it was asked for. The text says what to do.
 #[derive(Clone, PartialEq, Eq, Debug)]
 #[non_exhaustive]
@@ -47,6 +45,18 @@ impl From<PublishError> for Failure {
         Self::NotPublished(error)
     }
 }
+
+/// The subscription has been closed.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Closed;
+
+impl fmt::Display for Closed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the subscription has been closed")
+    }
+}
+
+impl std::error::Error for Closed {}
 
 impl From<Closed> for Failure {
     fn from(_: Closed) -> Self {

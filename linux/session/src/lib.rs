@@ -34,7 +34,7 @@ mod session;
 mod subscription;
 
 pub use config::node_config;
-pub use failure::Failure;
+pub use failure::{Closed, Failure};
 pub use quality::{Class, Declared, LONGEST_MESSAGE, Quality, Times};
 pub use session::{PATIENCE, Session, Settings};
-pub use subscription::{Closed, Queue, Subscription};
+pub use subscription::{Queue, Subscription};

@@ -1,6 +1,5 @@
 //! Events that wait for a program, with a descriptor that says so.
 
-use std::fmt;
 use std::future::Future as _;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::pin::pin;
@@ -15,6 +14,7 @@ use cosmic_linux::{MessageSubscriber, Node, Subscriber};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::io::Errno;
 
+use crate::failure::Closed;
 use crate::quality::LONGEST_MESSAGE;
 
 /// How events wait.
@@ -35,18 +35,6 @@ impl Queue {
         }
     }
 }
-
-/// The subscription has been closed.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Closed;
-
-impl fmt::Display for Closed {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("the subscription has been closed")
-    }
-}
-
-impl std::error::Error for Closed {}
 
 /// A subscription to a channel. Any thread may call; an event comes to one of them. It ends when it is dropped.
 pub struct Subscription {

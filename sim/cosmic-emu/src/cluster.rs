@@ -9,7 +9,8 @@
 use cosmic_bus::{Bus, BusOffRecovery, Event, StationId, VirtualInstant, time};
 
 use crate::image::LoadError;
-use crate::node::{Node, NodeConfig};
+use crate::node::Node;
+use crate::node_config::NodeConfig;
 use crate::observation::{Masked, NodeId, Observation, ObservationKind, ResetCause};
 use crate::soc::can::Command;
 use crate::station::{Port, Station};

@@ -8,7 +8,7 @@ use cosmic_bus::VirtualInstant;
 use crate::cpu::{Cpu, Interpreter, Io, Pace, Register};
 use crate::image::Image;
 use crate::memory;
-use crate::node::NodeConfig;
+use crate::node_config::NodeConfig;
 use crate::observation::ResetCause;
 use crate::soc::{System, Wiring};
 
