@@ -21,11 +21,13 @@
 //!     PROGRESS.supervise(watchdog, PERIOD, cx.shared.node).await
 //! }
 //!
-//! async fn measure(..) {
+//! async fn measure(cx: measure::Context) {
 //!     loop {
 //!         ticker.tick().await;
 //!         PROGRESS.made::<0>();
 //!         // ...
+//!     }
+//! }
 //! ```
 //!
 //! A task that waits for events of others must not say so by their coming alone: silence of the bus is no reason for a

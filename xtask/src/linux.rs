@@ -1,5 +1,7 @@
 //! The crates under `linux/`, whose dependencies no other crate needs.
 
+use std::process::Command;
+
 use anyhow::Result;
 
 use crate::cargo_test::cargo_test;
@@ -49,6 +51,13 @@ pub(crate) fn build(workspace: &Workspace, programs: &[&str]) -> Result<()> {
         command.args(["--bin", program]);
     }
     step("building what runs on Linux, and its tests", || run::run(&mut command))
+}
+
+/// The command that runs one of their tests, built as `test` builds all.
+pub(crate) fn one_test(workspace: &Workspace, name: &str) -> Command {
+    let mut command = workspace.cargo();
+    command.arg("test").args(PACKAGES).args(["--test", name]);
+    command
 }
 
 /// Clippy and documentation.

@@ -3,6 +3,7 @@
 use anyhow::Result;
 
 use crate::cargo_test::cargo_test;
+use crate::linux;
 use crate::run::{self, step};
 use crate::setup::{self, Tool};
 use crate::tally::Tally;
@@ -27,8 +28,7 @@ fn records(workspace: &Workspace) -> Result<Tally> {
     export.args(["run", "--package", "cosmic-plan", "--", "export", "cosmic-plan/examples/rover.toml"]);
     export.args(["--format", "lua", "--out"]).arg(&dissector);
     step("making the dissector of the rover", || run::run(&mut export))?;
-    let mut command = workspace.cargo();
-    command.args(["test", "--package", "cosmic-cli", "--test", "wireshark"]);
+    let mut command = linux::one_test(workspace, "wireshark");
     command.env("COSMIC_DISSECTOR", &dissector);
     step("trying records with Wireshark", || cargo_test(&mut command))
 }
