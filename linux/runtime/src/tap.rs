@@ -125,6 +125,13 @@ struct State {
     outcome: Option<Outcome>,
 }
 
+impl State {
+    /// The latest instant that was told, and what has passed since.
+    fn present(&self, now: Instant) -> Instant {
+        self.latest + now.saturating_since(self.latest_told_at)
+    }
+}
+
 impl Tap {
     /// Starts, inside a runtime of tokio. A link that cannot be reached is tried again and again.
     pub fn start(link: impl Link) -> Self {
@@ -177,8 +184,7 @@ impl Tap {
     /// The present time, as [`Tapped::at`] states it: the latest of these, and what has passed since it was told.
     pub fn now(&self) -> Instant {
         let now = self.shared.now();
-        let state = self.shared.lock();
-        state.latest + now.saturating_since(state.latest_told_at)
+        self.shared.lock().present(now)
     }
 
     /// Sends a frame as it is, and waits until it was sent. One at a time: so frames keep their order.
@@ -230,7 +236,7 @@ impl Shared {
     fn tell(&self, what: What, stamp: Option<Duration>) {
         let now = self.now();
         let mut state = self.lock();
-        let at = stamp.map_or(now, |stamp| {
+        let at = stamp.map_or(state.present(now), |stamp| {
             let (first, then) = *state.origin.get_or_insert((stamp, now));
             let since = u64::try_from(stamp.saturating_sub(first).as_nanos()).unwrap_or(u64::MAX / 4);
             then + time::Duration::from_ticks(since)
@@ -332,17 +338,29 @@ mod tests {
         Instant::from_epoch(time::Duration::from_millis(milliseconds))
     }
 
+    /// A link that is never connected.
+    struct Silent;
+
+    impl Link for Silent {
+        async fn run(&mut self, _: &link::Port) -> LinkError {
+            std::future::pending().await
+        }
+    }
+
     /// A link whose clock has stood still for a while: that of an emulated segment, when the machine cannot follow.
     #[tokio::test(start_paused = true)]
     async fn the_present_time_is_that_of_the_stamps() {
-        let tap = Tap::start(crate::link::segment::SegmentLink::new("/nowhere"));
+        let tap = Tap::start(Silent);
         tap.shared.tell(What::Malformed, Some(Duration::from_millis(500)));
         tokio::time::advance(Duration::from_millis(50)).await;
         tap.shared.tell(What::Malformed, Some(Duration::from_millis(510)));
+        // What has no stamp does not run ahead of what has.
+        tap.shared.tell(What::Malformed, None);
+        tap.shared.tell(What::Malformed, Some(Duration::from_millis(511)));
         let instants: Vec<_> = std::iter::from_fn(|| tap.try_next()).map(|tapped| tapped.at).collect();
-        assert_eq!(instants, [at(0), at(10)]);
-        assert_eq!(tap.now(), at(10));
+        assert_eq!(instants, [at(0), at(10), at(10), at(11)]);
+        assert_eq!(tap.now(), at(11));
         tokio::time::advance(Duration::from_millis(3)).await;
-        assert_eq!(tap.now(), at(13));
+        assert_eq!(tap.now(), at(14));
     }
 }
