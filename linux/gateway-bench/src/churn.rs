@@ -35,7 +35,7 @@ pub enum Who {
     Staying,
     /// A session of zenoh that stays, with publishers and subscribers of zenoh: what is left of these is not ours.
     StayingAlone,
-    /// Participants on IP, each of which leaves after [`OF_EACH`] subjects.
+    /// Participants on IP, each of which leaves after some subjects.
     Leaving,
     /// Sessions of zenoh that do so.
     LeavingAlone,

@@ -56,7 +56,9 @@ impl GivenQuality {
                 ));
             }
             None if messages && deadline.is_some() => {
-                return Err(PyValueError::new_err("a channel of messages is non real-time, and has no deadline"));
+                return Err(PyValueError::new_err(
+                    "a channel of messages is non real-time, and has no deadline",
+                ));
             }
             None if messages => Class::Messages { importance: Importance::LEAST, validity },
             Some(rank) => {
