@@ -35,7 +35,7 @@ pub use warden::{Refusal, Refusals};
 pub(crate) use warden::Warden;
 
 use crate::can::{Etag, TxNode, TxNodes};
-use crate::event_layer::ExceptionKind;
+use crate::event_layer::{AnnounceError, ExceptionKind};
 use crate::protocol::{Class, Rank};
 use crate::services::Declaration;
 use crate::uid::{NodeUid, Subject};
@@ -102,15 +102,22 @@ impl Seal {
         channel.map_or(&TxNodes::NONE, |channel| &channel.publishers)
     }
 
-    /// Returns whether a node with this TxNode may do that on a channel. O(channels).
-    pub(crate) fn permits(&self, own: Option<TxNode>, declaration: &Declaration) -> bool {
+    /// Whether a node with this TxNode may do that on a channel. O(channels).
+    ///
+    /// # Errors
+    /// [`AnnounceError::OutsidePlan`]
+    pub(crate) fn permits(
+        &self,
+        own: Option<TxNode>,
+        declaration: &Declaration,
+    ) -> Result<(), AnnounceError> {
         let &Declaration { subject, etag, class, publishes, .. } = declaration;
-        let Some(channel) = self.channels.iter().find(|channel| channel.subject == subject) else {
-            return false;
-        };
+        let channel = self.channels.iter().find(|channel| channel.subject == subject);
+        let channel = channel.ok_or(AnnounceError::OutsidePlan)?;
         // Who gives a channel up may do so.
         let publishes = !publishes || own.is_some_and(|own| channel.publishers.contains(own));
-        etag == Some(channel.etag) && class == channel.class && publishes
+        let permitted = etag == Some(channel.etag) && class == channel.class && publishes;
+        if permitted { Ok(()) } else { Err(AnnounceError::OutsidePlan) }
     }
 }
 

@@ -155,8 +155,8 @@ impl Services for ClockService {
     }
 
     fn permits(&self, declaration: &Declaration) -> Result<Gate, AnnounceError> {
-        if self.warden.as_ref().is_some_and(|warden| !warden.seal().permits(self.tx_node, declaration)) {
-            return Err(AnnounceError::OutsidePlan);
+        if let Some(warden) = &self.warden {
+            warden.seal().permits(self.tx_node, declaration)?;
         }
         match self.admission.map_or(Ok(Gate::Open), |(plan, uid)| plan.permits(uid, declaration)) {
             Ok(Gate::Closed) | Err(_) => Err(AnnounceError::OutsidePlan),

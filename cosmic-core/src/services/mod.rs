@@ -5,7 +5,6 @@
 //! [`EventHalf`](crate::EventHalf) owns it, hands it the control frames, and carries out its
 //! [`Request`]s.
 
-mod admitting;
 mod clock;
 mod config;
 mod hosted;

@@ -7,7 +7,6 @@ use crate::client::{
 };
 use crate::event_layer::ExceptionKind;
 use crate::protocol::Output;
-use crate::ring::Ring;
 use crate::time::Instant;
 use crate::uid::{NodeUid, Subject};
 
@@ -20,8 +19,8 @@ use crate::uid::{NodeUid, Subject};
 pub struct NamingService<const CHANNELS: usize> {
     configuration: Configuration,
     binding: Binding<CHANNELS>,
-    /// What an event brings besides; never more than two.
-    requests: Ring<Request, 2>,
+    /// What an event brings besides: the next request.
+    besides: Option<Request>,
 }
 
 impl<const CHANNELS: usize> NamingService<CHANNELS> {
@@ -37,7 +36,7 @@ impl<const CHANNELS: usize> NamingService<CHANNELS> {
 
     const fn of(configuration: Configuration, noise: u64) -> Self {
         let binding = Binding::new(configuration.uid().get() ^ noise, BindingTiming::DEFAULT);
-        Self { configuration, binding, requests: Ring::new() }
+        Self { configuration, binding, besides: None }
     }
 
     /// The node's TxNode, if it has one.
@@ -76,7 +75,7 @@ impl<const CHANNELS: usize> NamingService<CHANNELS> {
             }
             BindingEvent::Withdrawn { subject, .. } => Request::Unbound(subject),
             BindingEvent::Refused { subject } => {
-                let _ = self.requests.push(Request::Unbound(subject));
+                self.besides = Some(Request::Unbound(subject));
                 Request::Exception(Some(subject), ExceptionKind::BindingRefused)
             }
             BindingEvent::Contradicted { subject, .. } => {
@@ -110,7 +109,7 @@ impl<const CHANNELS: usize> Services for NamingService<CHANNELS> {
     }
 
     fn poll(&mut self, now: Instant, _: &NodeView) -> Option<Request> {
-        if let Some(request) = self.requests.pop() {
+        if let Some(request) = self.besides.take() {
             return Some(request);
         }
         if let Some(output) = self.configuration.poll(now) {

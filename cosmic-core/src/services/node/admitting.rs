@@ -1,11 +1,11 @@
 //! The part of a node's services that asks for channels which the plan does not know.
 
-use super::node::NodeServices;
-use super::{Declaration, Hosted, News, Request, TooMany};
+use super::NodeServices;
 use crate::can::Etag;
 use crate::client::{AdmissionClient, AdmissionEvent, AdmissionState};
 use crate::event_layer::{AnnounceError, ExceptionKind, Gate};
 use crate::protocol::Output;
+use crate::services::{Declaration, Hosted, News, Request, TooMany};
 use crate::time::Instant;
 use crate::uid::Subject;
 
@@ -67,7 +67,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     }
 
     /// By the plan, whatever was admitted.
-    pub(super) fn gate_of(&self, declaration: &Declaration) -> Result<Gate, AnnounceError> {
+    fn gate_of(&self, declaration: &Declaration) -> Result<Gate, AnnounceError> {
         self.admission_plan.map_or(Ok(Gate::Open), |(plan, uid)| plan.permits(uid, declaration))
     }
 }
