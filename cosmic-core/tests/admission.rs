@@ -1,9 +1,7 @@
 //! Admission frame by frame: the client of a node that asks, and control at the broker's node, each alone and then both on
 //! an ether that loses frames.
 
-use cosmic_core::admission::{
-    AdmissionControl, AdmissionTiming, CalendarDemand, Faults, Offer, Reservations,
-};
+use cosmic_core::admission::{AdmissionControl, AdmissionTiming, Offer, Reservations};
 use cosmic_core::broker::{BrokerEvent, BrokerRole};
 use cosmic_core::can::{BitRate, Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::client::{AdmissionClient, AdmissionEvent, AdmissionState, CannotAsk};
@@ -18,17 +16,8 @@ const SUBJECT: Subject = Subject::new(0x1122_3344_5566_7788).unwrap();
 const ETAG: Etag = Etag::new(0x3FFE).unwrap();
 const TIMING: AdmissionTiming = AdmissionTiming::DEFAULT;
 
-static FREE: Reservations<'static> = Reservations {
-    bit_rate: BitRate::MAX,
-    priority_step: Duration::from_micros(160),
-    reload: Duration::from_micros(5),
-    slow_refill: false,
-    faults: Faults::None,
-    calendar: CalendarDemand::NONE,
-    above: &[],
-    soft: &[],
-    guarded: &[],
-};
+static FREE: Reservations<'static> =
+    Reservations::nothing(BitRate::MAX, Duration::from_micros(160), Duration::from_micros(5));
 
 fn at(milliseconds: u64) -> Instant {
     Instant::from_epoch(Duration::from_millis(milliseconds))

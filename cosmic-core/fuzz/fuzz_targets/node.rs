@@ -2,9 +2,7 @@
 //! into a mailbox that is taken, and hard real-time frames in their own mailbox only.
 #![no_main]
 
-use cosmic_core::admission::{
-    AdmissionPlan, AdmissionTiming, CalendarDemand, Faults, Reservations, Unplanned,
-};
+use cosmic_core::admission::{AdmissionPlan, AdmissionTiming, Reservations, Unplanned};
 use cosmic_core::broker::{Broker, BrokerTiming, Nodes, Subjects};
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{
@@ -53,17 +51,7 @@ static CALENDAR: Calendar = Calendar::checked(
 static PLAN: AdmissionPlan = AdmissionPlan {
     unplanned: Unplanned::Ask,
     planned: &[],
-    reservations: Reservations {
-        bit_rate: BitRate::MAX,
-        priority_step: Duration::from_micros(160),
-        reload: Duration::from_micros(5),
-        slow_refill: false,
-        faults: Faults::None,
-        calendar: CalendarDemand::NONE,
-        above: &[],
-        soft: &[],
-        guarded: &[],
-    },
+    reservations: Reservations::nothing(BitRate::MAX, Duration::from_micros(160), Duration::from_micros(5)),
 };
 
 fn hard_channel(number: u16) -> Channel<u32> {

@@ -162,6 +162,23 @@ pub struct Reservations<'a> {
     pub guarded: &'a [Guarded],
 }
 
+impl Reservations<'static> {
+    /// Nothing is planned, and no faults are tolerated.
+    pub const fn nothing(bit_rate: BitRate, priority_step: Duration, reload: Duration) -> Self {
+        Self {
+            bit_rate,
+            priority_step,
+            reload,
+            slow_refill: false,
+            faults: Faults::None,
+            calendar: CalendarDemand::NONE,
+            above: &[],
+            soft: &[],
+            guarded: &[],
+        }
+    }
+}
+
 impl Reservations<'_> {
     /// B: the longest frame that may just have started.
     pub(super) const fn blocking(&self) -> u64 {
