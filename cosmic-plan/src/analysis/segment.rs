@@ -23,6 +23,7 @@ use super::soft::{Rule, SoftBound, SoftBus, SoftStream};
 use crate::cluster::{Cluster, Foreign, PlannedClass};
 use crate::plan::found::Plan;
 use cosmic_core::can::{ERROR_RECOVERY_BITS, LONGEST_FRAME_BITS, Priority};
+use cosmic_core::network::fragments;
 use cosmic_core::time::Duration;
 
 /// Shares of time.
@@ -376,7 +377,7 @@ fn rule_in_words(rule: Rule) -> &'static str {
 
 /// The frames of an event: itself, or fragments with a header byte each and a checksum behind all.
 fn frames_of(length: u16) -> u64 {
-    if length <= 8 { 1 } else { (u64::from(length) + 2).div_ceil(7) }
+    if length <= 8 { 1 } else { fragments::frames_of(usize::from(length)) as u64 }
 }
 
 /// What a foreign frame's first eight bits would be as our priority; where it stands in arbitration.

@@ -2,10 +2,11 @@
 //!
 //! It only shows. Each segment is listened to by a link of its own, beside that of the gateway's node.
 
-use cosmic_core::protocol::Class;
+use std::time::{SystemTime, UNIX_EPOCH};
+
 use cosmic_core::time::Instant;
 use cosmic_linux::Tap;
-use cosmic_monitor::Monitor;
+use cosmic_monitor::{Monitor, class_name};
 use cosmic_page::{Hub, Way};
 use tokio::task::JoinSet;
 
@@ -45,23 +46,20 @@ fn monitor(segment: &SegmentConfig) -> Monitor {
     monitor
 }
 
-/// An event as the page shows it.
+/// An event that has just come, as the page shows it.
 pub fn shown(crossing: &Crossing<'_>, outcome: Outcome) -> cosmic_page::Crossing {
     let channel = crossing.channel;
-    let class = match channel.class {
-        Class::Hard => "HRT",
-        Class::Soft => "SRT",
-        Class::NonRealTime => "NRT",
-    };
     let way = Way {
         channel: channel.name.clone(),
         subject: channel.subject.to_string(),
-        class: class.to_owned(),
+        class: class_name(channel.class).to_owned(),
         from: crossing.from.map(ToString::to_string).unwrap_or_default(),
         to: crossing.to.map_or_else(|| "IP".to_owned(), ToString::to_string),
         outcome: format!("{outcome:?}"),
         went: matches!(outcome, Outcome::Forwarded | Outcome::ForwardedLate),
     };
     let left_ns = crossing.to_deadline.map(|left| left.as_ticks());
-    cosmic_page::Crossing { way, node: crossing.node.map(|node| node.get()), left_ns }
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let at_ms = u64::try_from(since.as_millis()).unwrap_or(u64::MAX);
+    cosmic_page::Crossing { at_ms, way, node: crossing.node.map(|node| node.get()), left_ns }
 }

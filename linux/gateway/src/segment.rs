@@ -10,8 +10,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use cosmic_core::can::{Payload, Priority, TxNode};
 use cosmic_core::event_layer::{
-    Attributes, Channel, Delivered, Depth, Event, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
+    Attributes, Channel, Delivered, Depth, Event, NonRealTimeAttributes, Policy, SoftAttributes,
 };
+use cosmic_core::network::fragments::frames_of;
 use cosmic_core::protocol::{Class, LayoutHash, Side};
 use cosmic_core::time::{Duration, Instant};
 use cosmic_linux::{Node, Publisher, Subscriber};
@@ -214,8 +215,8 @@ impl Segment {
         left.after(waited).ok_or(Outcome::Expired)
     }
 
-    /// An event for the segment. Never waits. What becomes of it is counted, and returned; a message that is taken counts as
-    /// forwarded here, though its outbox may still give it up, and then counts that.
+    /// An event for the segment. Never waits. What becomes of it is counted, and returned; a message that is taken is
+    /// returned as forwarded, and its outbox counts what becomes of it.
     pub(crate) fn give(&self, at: usize, channel: &ChannelConfig, event: &Incoming<'_>) -> Outcome {
         let now = self.node.now();
         let outcome = if self.conflicts(at, event.layout) {
@@ -236,7 +237,9 @@ impl Segment {
                 }
             }
         };
-        outcome.into_iter().for_each(|outcome| self.incoming.count(outcome));
+        if let Some(outcome) = outcome {
+            self.incoming.count(outcome);
+        }
         outcome.unwrap_or(Outcome::Forwarded)
     }
 
@@ -256,11 +259,13 @@ impl Segment {
         if !ceiling.has_room(now) {
             return Err(Outcome::CeilingExceeded);
         }
+        // What finds no place takes nothing of the channel's rate.
+        let place = outbox.place()?;
         if !bucket.charge(now) {
             return Err(Outcome::RateExceeded);
         }
-        outbox.put(content, left.to_expiry.map(|left| now + left.max(Duration::from_ticks(1))))?;
-        (0..outbox::frames(content.len())).for_each(|_| ceiling.charge(Payload::MAX_LEN, now));
+        place.take(content, left.to_expiry.map(|left| now + left.max(Duration::from_ticks(1))));
+        (0..frames_of(content.len())).for_each(|_| ceiling.charge(Payload::MAX_LEN, now));
         Ok(())
     }
 
@@ -292,11 +297,7 @@ impl Segment {
                 ceiling.charge(content.len(), now);
                 if is_late { Outcome::ForwardedLate } else { Outcome::Forwarded }
             }
-            Err(PublishError::TooFast) => Outcome::RateExceeded,
-            Err(PublishError::QueueFull) => Outcome::QueueFull,
-            Err(PublishError::Deadline) => Outcome::Expired,
-            Err(PublishError::TooLong) => Outcome::TooLong,
-            Err(_) => Outcome::NotBound,
+            Err(why) => outbox::refusal(why),
         }
     }
 

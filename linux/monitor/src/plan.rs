@@ -10,7 +10,7 @@ use cosmic_core::event_layer::{
     self as declared, Bytes, HardAttributes, Importance, MessageChannel, NonRealTimeAttributes,
     SoftAttributes,
 };
-use cosmic_core::network::fragments::MAX_MESSAGE_LEN;
+use cosmic_core::network::fragments::{MAX_MESSAGE_LEN, frames_of};
 use cosmic_core::time::Duration;
 use cosmic_core::{NodeUid, Subject};
 use cosmic_plan::analysis::segment::assess;
@@ -177,9 +177,9 @@ impl SegmentPlan {
         let publishers = self.cluster.publishers(channel).count().max(1) as f64;
         let frames = match length {
             0..=8 => 1,
-            longer => (u32::from(*longer) + 2).div_ceil(7),
+            longer => frames_of(usize::from(*longer)),
         };
-        publishers * f64::from(frames) * 1e9 / recurrence.span().as_ticks().max(1) as f64
+        publishers * frames as f64 * 1e9 / recurrence.span().as_ticks().max(1) as f64
     }
 
     /// Returns whether the channel carries messages of several frames, not events.

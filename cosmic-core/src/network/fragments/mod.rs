@@ -93,6 +93,17 @@ const CRC_LEN: usize = 2;
 
 /// How many bytes a frame carries behind the header.
 const PIECE: usize = Payload::MAX_LEN - 1;
+
+/// How many frames a message of so many bytes takes.
+pub const fn frames_of(len: usize) -> usize {
+    if len <= PIECE { 1 } else { len.saturating_add(CRC_LEN).div_ceil(PIECE) }
+}
+
+/// Whether a frame is the first one of a message.
+pub fn begins(fragment: &Payload) -> bool {
+    fragment.as_slice().first().is_some_and(|header| Header::decode(*header).first)
+}
+
 /// Bytes of a message at most: what takes less than half a second at 50 kbit/s.
 pub const MAX_MESSAGE_LEN: usize = 1024;
 const MESSAGE_MASK: u8 = 0x03;

@@ -14,6 +14,18 @@ fn id(publisher: u8, etag: u16) -> Id {
     Id::new(Priority::LEAST, TxNode::new(publisher).unwrap(), Etag::new(etag).unwrap())
 }
 
+#[test]
+fn a_message_has_so_many_frames_and_begins_with_the_first() {
+    for len in [0, 1, 7, 8, 12, 13, 100, MAX_MESSAGE_LEN] {
+        let mut fragmenter = Fragmenter::<MAX_MESSAGE_LEN>::new();
+        fragmenter.start(&[1; MAX_MESSAGE_LEN][..len]).unwrap();
+        let fragments = core::iter::from_fn(|| fragmenter.poll().inspect(|_| fragmenter.on_sent()));
+        let first: Vec<_> = fragments.map(|fragment| begins(&fragment)).collect();
+        assert_eq!(first.len(), frames_of(len), "{len}");
+        assert!(first[0] && !first[1..].contains(&true), "{len}");
+    }
+}
+
 fn frame(publisher: u8, bytes: &[u8]) -> Frame {
     Frame::new(id(publisher, 2_000), Payload::new(bytes).unwrap())
 }

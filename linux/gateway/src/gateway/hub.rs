@@ -42,10 +42,10 @@ impl Hub {
     }
 
     /// An event of a segment. Never waits.
-    pub(super) fn on_event(&self, segment: usize, channel: usize, event: &Leaving) {
+    pub(super) fn on_event(&self, segment: usize, channel: usize, event: Leaving) {
         let (of, config) = (&self.segments[segment], &self.channels[channel]);
         let told = Crossing::of(config).from(&of.name, Some(event.publisher));
-        let left = match of.take(channel, config, event) {
+        let left = match of.take(channel, config, &event) {
             Ok(left) => left,
             Err(outcome) => {
                 of.outgoing.count(outcome);
@@ -54,16 +54,13 @@ impl Hub {
         };
         let told = told.left(left.to_deadline);
         let incoming = Incoming { content: &event.content, layout: LayoutHash::UNSTATED, left };
-        let others =
-            self.segments.iter().enumerate().filter(|(at, other)| *at != segment && other.wants(channel));
-        let give = |other: &Segment| {
-            let outcome = other.give(channel, config, &incoming);
-            self.tell(&told.to(&other.name), outcome);
-        };
-        let wanted_here = others.map(|(_, other)| give(other)).count() > 0;
+        let wanted_here = self.give(channel, Some(segment), &incoming, &told);
         let on_ip = self.outlets[segment][channel].as_ref().filter(|it| it.wanted.load(Ordering::Relaxed));
         let Some(outlet) = on_ip else {
-            of.outgoing.count_many(Outcome::Unwanted, u64::from(!wanted_here));
+            if !wanted_here {
+                of.outgoing.count(Outcome::Unwanted);
+                self.tell(&told, Outcome::Unwanted);
+            }
             return;
         };
         let envelope = Envelope {
@@ -75,7 +72,7 @@ impl Hub {
             sent_at: Reading::now(),
             to_deadline: left.to_deadline,
             to_expiry: left.to_expiry,
-            content: event.content.clone(),
+            content: event.content,
         };
         let put = outlet.publisher.put(envelope.encode()).wait();
         let outcome = if put.is_ok() { Outcome::Forwarded } else { Outcome::NotSent };
@@ -87,6 +84,9 @@ impl Hub {
     pub(super) fn on_sample(&self, channel: usize, sample: &Sample) {
         if let Err(outcome) = self.pass(channel, sample) {
             self.unassigned.count(outcome);
+            if self.watch.is_none() {
+                return;
+            }
             let told = Crossing::of(&self.channels[channel]);
             match self.network.keys.read_event(sample.key_expr().as_str()) {
                 Some(key) => self.tell(&told.from(&key.segment, None), outcome),
@@ -110,14 +110,21 @@ impl Hub {
         // An event whose sender states no expiry gets that of the channel, from when it was sent.
         let left = left.at_most(config).after(age).ok_or(Outcome::Expired)?;
         let incoming = Incoming { content: &envelope.content, layout: envelope.layout, left };
-        let wanting = self.segments.iter().filter(|segment| segment.wants(channel));
         let told = Crossing::of(config).from(&origin, envelope.node).left(left.to_deadline);
-        let give = |segment: &Segment| {
-            let outcome = segment.give(channel, config, &incoming);
-            self.tell(&told.to(&segment.name), outcome);
-        };
-        let given = wanting.map(|segment| give(segment)).count();
         // Interest may have ended while the event was on its way, or we do not lead any more.
-        if given > 0 { Ok(()) } else { Err(Outcome::Unwanted) }
+        if self.give(channel, None, &incoming, &told) { Ok(()) } else { Err(Outcome::Unwanted) }
+    }
+
+    /// Gives an event to all segments that want it, but the one it comes from. Returns whether there is one.
+    fn give(&self, channel: usize, from: Option<usize>, event: &Incoming<'_>, told: &Crossing<'_>) -> bool {
+        let mut any = false;
+        for (at, segment) in self.segments.iter().enumerate() {
+            if Some(at) != from && segment.wants(channel) {
+                let outcome = segment.give(channel, &self.channels[channel], event);
+                self.tell(&told.to(&segment.name), outcome);
+                any = true;
+            }
+        }
+        any
     }
 }

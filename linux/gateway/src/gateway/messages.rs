@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use cosmic_core::can::{Frame, Payload, TxNode};
 use cosmic_core::event_layer::Delivered;
-use cosmic_core::network::fragments::{MAX_MESSAGE_LEN, Reassembler, ReassemblyCounters};
+use cosmic_core::network::fragments::{MAX_MESSAGE_LEN, Reassembler, ReassemblyCounters, begins};
 use cosmic_core::time::{Duration, Instant};
 
 use crate::counters::{Counters, Outcome};
@@ -31,7 +31,7 @@ impl Assembly {
     pub(super) fn on_frame(&mut self, event: &Delivered<Payload>, counters: &Counters) -> Option<Leaving> {
         let (publisher, received_at) = (event.publisher, event.received_at);
         // One entry for each publisher: there are no more of them than identifiers have room for.
-        if event.content.as_slice().first().is_some_and(|header| header & FIRST != 0) {
+        if begins(&event.content) {
             self.begun.insert(publisher, received_at);
         }
         let message = self.reassembler.on_frame(&Frame::new(event.id, event.content), received_at);
@@ -39,6 +39,12 @@ impl Assembly {
         self.tell(counters);
         let began_at = self.begun.get(&publisher).copied().unwrap_or(received_at);
         Some(Leaving { content: message?, publisher, priority: event.id.priority(), began_at, received_at })
+    }
+
+    /// Time has passed: counts what is given up of which nothing more came.
+    pub(super) fn on_time(&mut self, now: Instant, counters: &Counters) {
+        self.reassembler.on_time(now);
+        self.tell(counters);
     }
 
     fn tell(&mut self, counters: &Counters) {
@@ -57,5 +63,30 @@ impl Assembly {
 const PLACES: usize = 8;
 /// A message of which nothing has come for so long is given up, as a node does.
 const TIME_OUT: Duration = Duration::from_secs(2);
-/// In the header of a frame: a message begins.
-const FIRST: u8 = 0x80;
+
+#[cfg(test)]
+mod tests {
+    use cosmic_core::can::{Etag, Id, Priority};
+    use cosmic_core::event_layer::Context;
+
+    use super::*;
+    use crate::counters::{Direction, Metrics};
+    use crate::keys::Name;
+
+    #[test]
+    fn a_message_whose_end_does_not_come_is_counted_though_nothing_comes_behind() {
+        let counters = Metrics::default().of(&Name::new("west").unwrap(), Direction::Out);
+        let mut assembly = Assembly::new();
+        let at = |milliseconds| Instant::from_epoch(Duration::from_millis(milliseconds));
+        let publisher = TxNode::new(1).unwrap();
+        let id = Id::new(Priority::LEAST, publisher, Etag::BOUND_LAST);
+        // The first of several.
+        let content = Payload::new(&[0x80, 1, 2, 3, 4, 5, 6, 7]).unwrap();
+        let first = Delivered { content, context: Context::EMPTY, publisher, id, received_at: at(0) };
+        assert!(assembly.on_frame(&first, &counters).is_none());
+        assembly.on_time(at(1_999), &counters);
+        assert_eq!(counters.get(Outcome::Incomplete), 0);
+        assembly.on_time(at(2_001), &counters);
+        assert_eq!(counters.get(Outcome::Incomplete), 1);
+    }
+}

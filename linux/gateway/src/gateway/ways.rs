@@ -23,13 +23,13 @@ struct Ways {
     /// By segment: while we speak for it.
     voices: Vec<Option<Voice>>,
     /// By segment and channel: while somebody elsewhere wants it, and a while longer.
-    readers: HashMap<(usize, usize), Reading>,
+    readers: HashMap<(usize, usize), Watched>,
     /// By channel: while somebody on our segments wants it.
     from_ip: HashMap<usize, zenoh::pubsub::Subscriber<()>>,
 }
 
 /// A channel that is read on a segment.
-struct Reading {
+struct Watched {
     /// `None`: the segment refuses it.
     reader: Option<Reader>,
     /// Since when nobody wants it any more.
@@ -103,9 +103,9 @@ impl Ways {
             let reader = self.readers.remove(&place).map(|before| before.reader);
             let is_told = reader.is_some();
             let reader = reader.flatten().or_else(|| self.read(segment, channel, is_told));
-            self.readers.insert(place, Reading { reader, unwanted_since: None });
-        } else if let Some(reading) = self.readers.get_mut(&place)
-            && reading.unwanted_since.get_or_insert_with(Instant::now).elapsed() >= LINGERING
+            self.readers.insert(place, Watched { reader, unwanted_since: None });
+        } else if let Some(watched) = self.readers.get_mut(&place)
+            && watched.unwanted_since.get_or_insert_with(Instant::now).elapsed() >= LINGERING
         {
             self.readers.remove(&place);
         }
@@ -149,15 +149,19 @@ impl Ways {
 }
 
 async fn read(hub: Arc<Hub>, segment: usize, channel: usize, subscriber: Subscriber<Payload>) {
-    let mut messages = hub.channels[channel].longest_message.map(|_| Assembly::new());
+    let of = &hub.segments[segment];
+    let Some(mut messages) = hub.channels[channel].longest_message.map(|_| Assembly::new()) else {
+        loop {
+            hub.on_event(segment, channel, Leaving::from(&subscriber.next().await));
+        }
+    };
     loop {
-        let event = subscriber.next().await;
-        let leaving = match &mut messages {
-            Some(messages) => messages.on_frame(&event, &hub.segments[segment].outgoing),
-            None => Some(Leaving::from(&event)),
+        let Ok(event) = tokio::time::timeout(LONGEST_DELAY, subscriber.next()).await else {
+            messages.on_time(of.node.now(), &of.outgoing);
+            continue;
         };
-        if let Some(leaving) = leaving {
-            hub.on_event(segment, channel, &leaving);
+        if let Some(leaving) = messages.on_frame(&event, &of.outgoing) {
+            hub.on_event(segment, channel, leaving);
         }
     }
 }

@@ -87,7 +87,8 @@ impl Peers {
         let peer = of_segment.entry(envelope.sender).or_insert_with(|| Peer::new(now));
         peer.heard_at = now;
         let was_silent = peer.event_at.replace(now).is_none_or(|at| now.since(at) > LATELY);
-        if was_silent || peer.clock.is_none() {
+        // What is not answered is asked again in its time, however many events come meanwhile.
+        if was_silent {
             self.ask.notify_one();
         }
         let Some(clock) = &peer.clock else { return Err(Outcome::AgeUnknown) };

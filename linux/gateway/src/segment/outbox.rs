@@ -1,4 +1,7 @@
 //! Messages of several frames on their way into a segment: one frame at a time, so that they keep nobody waiting.
+//!
+//! A node's own [publisher of messages](cosmic_linux::MessagePublisher) does not do: here each frame has the message's expiry,
+//! and what became of each message is told.
 
 use std::time::Duration as Span;
 
@@ -6,7 +9,7 @@ use cosmic_core::can::Payload;
 use cosmic_core::event_layer::{ChannelCounters, Event, PublishError};
 use cosmic_core::network::fragments::{Fragmenter, MAX_MESSAGE_LEN};
 use cosmic_core::time::Instant;
-use cosmic_linux::Publisher;
+use cosmic_linux::{Publisher, WAITING_MESSAGES};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
@@ -31,20 +34,23 @@ struct Message {
 
 impl Outbox {
     pub(super) fn new(publisher: Publisher<Payload>, counters: Counters) -> Self {
-        let (waiting, messages) = mpsc::channel(WAITING);
+        let (waiting, messages) = mpsc::channel(WAITING_MESSAGES);
         Self { waiting, task: tokio::spawn(send(publisher, messages, counters)) }
     }
 
-    /// Takes a message. Never waits.
-    pub(super) fn put(&self, content: &[u8], expires_at: Option<Instant>) -> Result<(), Outcome> {
-        let message = Message { content: content.to_vec(), expires_at };
-        self.waiting.try_send(message).map_err(|_| Outcome::QueueFull)
+    /// Keeps a place for a message, if there is one. Never waits.
+    pub(super) fn place(&self) -> Result<Place<'_>, Outcome> {
+        self.waiting.try_reserve().map(Place).map_err(|_| Outcome::QueueFull)
     }
 }
 
-/// The frames of a message of so many bytes.
-pub(super) const fn frames(len: usize) -> usize {
-    if len <= PIECE { 1 } else { (len + CRC).div_ceil(PIECE) }
+/// A place that is kept for a message.
+pub(super) struct Place<'a>(mpsc::Permit<'a, Message>);
+
+impl Place<'_> {
+    pub(super) fn take(self, content: &[u8], expires_at: Option<Instant>) {
+        self.0.send(Message { content: content.to_vec(), expires_at });
+    }
 }
 
 async fn send(publisher: Publisher<Payload>, mut messages: mpsc::Receiver<Message>, counters: Counters) {
@@ -93,9 +99,7 @@ async fn send_fragment(
         match publisher.publish_event(&event) {
             Ok(()) => break,
             Err(PublishError::QueueFull) => departure(&mut departures).await,
-            Err(PublishError::Deadline) => return Err(Outcome::Expired),
-            Err(PublishError::TooLong) => return Err(Outcome::TooLong),
-            Err(_) => return Err(Outcome::NotBound),
+            Err(why) => return Err(refusal(why)),
         }
     }
     loop {
@@ -118,25 +122,15 @@ async fn departure(departures: &mut tokio::sync::watch::Receiver<u64>) {
     let _ = tokio::time::timeout(LONGEST_DELAY, departures.changed()).await;
 }
 
-/// Messages that wait, of each channel.
-const WAITING: usize = 8;
-const LONGEST_DELAY: Span = Span::from_millis(10);
-/// What a frame carries behind its header.
-const PIECE: usize = Payload::MAX_LEN - 1;
-/// Of a message of several frames.
-const CRC: usize = 2;
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_message_has_so_many_frames() {
-        for len in [0, 1, 7, 8, 12, 13, 100, MAX_MESSAGE_LEN] {
-            let mut fragmenter = Fragmenter::<MAX_MESSAGE_LEN>::new();
-            fragmenter.start(&vec![1; len]).unwrap();
-            let fragments = std::iter::from_fn(|| fragmenter.poll().inspect(|_| fragmenter.on_sent()));
-            assert_eq!(fragments.count(), frames(len), "{len}");
-        }
+/// What it means for an event that the node does not publish it.
+pub(super) const fn refusal(why: PublishError) -> Outcome {
+    match why {
+        PublishError::TooFast => Outcome::RateExceeded,
+        PublishError::QueueFull => Outcome::QueueFull,
+        PublishError::Deadline => Outcome::Expired,
+        PublishError::TooLong => Outcome::TooLong,
+        _ => Outcome::NotBound,
     }
 }
+
+const LONGEST_DELAY: Span = Span::from_millis(10);
