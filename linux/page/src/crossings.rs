@@ -3,13 +3,15 @@
 //! A gateway tells of each event that comes to it, out of a segment or into one, and what became of it.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
 /// An event that came to a gateway.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize, Debug)]
 pub struct Crossing {
+    /// When it came there, in milliseconds since 1970.
+    pub at_ms: u64,
     /// Its channel, and what became of it.
     #[serde(flatten)]
     pub way: Way,
@@ -43,7 +45,8 @@ pub struct Way {
 #[derive(Default)]
 pub(crate) struct Crossings {
     ways: BTreeMap<Way, Counted>,
-    last: VecDeque<Last>,
+    /// The newest first.
+    last: VecDeque<Crossing>,
     overlooked: u64,
     told_at: Option<Instant>,
 }
@@ -58,20 +61,11 @@ struct Counted {
     told: u64,
 }
 
-#[derive(Clone, Serialize)]
-struct Last {
-    /// Milliseconds since 1970.
-    at_ms: u64,
-    #[serde(flatten)]
-    crossing: Crossing,
-}
-
 /// As it is told to browsers.
 #[derive(Serialize)]
 pub(crate) struct Told<'a> {
     ways: Vec<Line<'a>>,
-    /// The newest first.
-    last: Vec<&'a Last>,
+    last: &'a VecDeque<Crossing>,
     /// Events whose way found no place.
     overlooked: u64,
 }
@@ -85,22 +79,24 @@ struct Line<'a> {
 }
 
 impl Crossings {
-    /// Another event. Logarithmic in the ways, of which [`MOST_WAYS`] are kept.
+    /// Another event. Logarithmic in the ways, of which [`MOST_WAYS`] are kept, and linear in the last events.
     pub(crate) fn add(&mut self, crossing: Crossing) {
-        if self.ways.len() >= MOST_WAYS && !self.ways.contains_key(&crossing.way) {
-            self.overlooked += 1;
-            return;
+        if !self.ways.contains_key(&crossing.way) {
+            if self.ways.len() >= MOST_WAYS {
+                self.overlooked += 1;
+                return;
+            }
+            self.ways.insert(crossing.way.clone(), Counted::default());
         }
-        let counted = self.ways.entry(crossing.way.clone()).or_default();
+        let Some(counted) = self.ways.get_mut(&crossing.way) else { return };
         counted.count += 1;
         counted.left_ns = crossing.left_ns;
         let least = [counted.least_left_ns, crossing.left_ns];
         counted.least_left_ns = least.into_iter().flatten().min();
-        if self.last.len() == MOST_LAST {
-            self.last.pop_back();
-        }
-        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        self.last.push_front(Last { at_ms: u64::try_from(since.as_millis()).unwrap_or(0), crossing });
+        // Gateways in other processes may tell later of what came earlier.
+        let newer = self.last.partition_point(|kept| kept.at_ms > crossing.at_ms);
+        self.last.insert(newer, crossing);
+        self.last.truncate(MOST_LAST);
     }
 
     /// Reckons the rates of the ways, of the time since the last call.
@@ -116,8 +112,7 @@ impl Crossings {
     /// What there is to tell; nothing where no gateway tells anything.
     pub(crate) fn told(&self) -> Option<Told<'_>> {
         let ways = self.ways.iter().map(|(way, counted)| Line { way, counted });
-        let told =
-            Told { ways: ways.collect(), last: self.last.iter().collect(), overlooked: self.overlooked };
+        let told = Told { ways: ways.collect(), last: &self.last, overlooked: self.overlooked };
         (!self.ways.is_empty()).then_some(told)
     }
 }
@@ -135,7 +130,7 @@ mod tests {
         let [from, to, outcome] = ["west", "IP", "Forwarded"].map(str::to_owned);
         let (channel, subject, class) = (channel.to_owned(), "0".repeat(16), "SRT".to_owned());
         let way = Way { channel, subject, class, from, to, outcome, went: true };
-        Crossing { way, node: Some(1), left_ns: Some(left_ns) }
+        Crossing { at_ms: 0, way, node: Some(1), left_ns: Some(left_ns) }
     }
 
     #[test]
@@ -153,6 +148,16 @@ mod tests {
         assert_eq!((&way["count"], &way["rate"], &way["from"]), (&3.into(), &2.0.into(), &"west".into()));
         assert_eq!((&way["left_ns"], &way["least_left_ns"]), (&20.into(), &10.into()));
         assert_eq!(told["last"][0]["left_ns"], 20, "the newest is the first");
+    }
+
+    #[test]
+    fn the_last_events_stand_in_the_order_of_their_times_whoever_tells_first() {
+        let mut crossings = Crossings::default();
+        for at_ms in [5, 9, 7, 9] {
+            crossings.add(Crossing { at_ms, ..crossing("heat", at_ms) });
+        }
+        let times: Vec<_> = crossings.last.iter().map(|kept| kept.at_ms).collect();
+        assert_eq!(times, [9, 9, 7, 5]);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use cosmic_bus::{TrafficClass, WireFrame};
 use cosmic_core::can::{BitRate, Frame};
 use cosmic_core::time::Instant;
 use cosmic_linux::{Tap, Tapped, What};
-use cosmic_monitor::{Meaning, Monitor, Notice};
+use cosmic_monitor::{Meaning, Monitor, Notice, hex_bytes};
 use tokio::time::MissedTickBehavior;
 
 use crate::browsers::Message;
@@ -156,7 +156,7 @@ impl Live {
 
     fn foreign(&self, frame: Option<&WireFrame>, at: Instant) -> Line {
         let bytes = frame.map_or_else(String::new, |frame| {
-            frame.padded_data().iter().take(frame.data_len()).map(|byte| format!("{byte:02X}")).collect()
+            hex_bytes(frame.padded_data().get(..frame.data_len()).unwrap_or_default())
         });
         let duration = frame.map_or(0.0, |frame| self.on_the_bus(frame));
         Line(micros(at), duration, TrafficClass::Foreign as u8, None, None, None, bytes, Said::Nothing)
