@@ -1,5 +1,6 @@
 //! What all commands share.
 
+use std::process::ExitCode;
 use std::time::Duration;
 
 use cosmic_core::can::{BitRate, Etag};
@@ -10,7 +11,7 @@ use cosmic_monitor::{Monitor, SegmentPlan};
 
 use crate::arguments::Common;
 use crate::choice::Choice;
-use crate::failure::Failure;
+use crate::failure::{FOUND, Failure};
 use crate::output::Output;
 use crate::source::Source;
 
@@ -33,6 +34,17 @@ impl Context {
                 "no link was given: say --link sim:PATH, or another (see --help), or set COSMIC_LINK",
             )),
         }
+    }
+
+    /// How a command ends that was to show something: if there was nothing, it says so and where to look.
+    pub(crate) fn ended(&self, any: bool, otherwise: &str) -> ExitCode {
+        if any {
+            return ExitCode::SUCCESS;
+        }
+        if !self.output.json() {
+            eprintln!("cosmic: {otherwise}");
+        }
+        ExitCode::from(FOUND)
     }
 
     /// The bit rate of the segment.

@@ -88,7 +88,8 @@ impl Iterator for Heard {
 /// Tells a monitor which etags a log binds, for an event may come before the binding that says what it is. Takes a
 /// reading of the whole log: what passes once only, a pipe, is not read for it.
 pub fn learn_bindings(monitor: &mut Monitor, path: &Path) {
-    if !fs::metadata(path).is_ok_and(|data| data.is_file()) {
+    // `-` is the standard input, also where a file has that name.
+    if path.as_os_str() == "-" || !fs::metadata(path).is_ok_and(|data| data.is_file()) {
         return;
     }
     // What is wrong with the log, whoever reads it next is told.

@@ -191,7 +191,7 @@ fn of_message(message: &ControlMessage) -> Named {
             vec![
                 field("side", &side(interest.side)),
                 field("etag", &interest.etag.get()),
-                field("class", &class(interest.class)),
+                field("class", &class_name(interest.class)),
                 DecodedField {
                     unit: Some("s".to_owned()),
                     ..field("lease", &(interest.lease.duration().as_millis() as f64 / 1e3))
@@ -296,7 +296,8 @@ fn side(side: Side) -> &'static str {
     }
 }
 
-pub(crate) fn class(class: Class) -> &'static str {
+/// What tables and lines call a class: `HRT`, `SRT`, `NRT`.
+pub const fn class_name(class: Class) -> &'static str {
     match class {
         Class::Hard => "HRT",
         Class::Soft => "SRT",

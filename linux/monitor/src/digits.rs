@@ -1,4 +1,4 @@
-//! Numbers as a person writes them.
+//! Numbers as a person writes and reads them.
 
 /// A number of up to 16 hexadecimal digits, behind `0x` or alone. Nothing else than digits: no sign, no space.
 ///
@@ -10,4 +10,9 @@
 pub fn hexadecimal(text: &str) -> Option<u64> {
     let digits = text.strip_prefix("0x").unwrap_or(text);
     digits.bytes().all(|byte| byte.is_ascii_hexdigit()).then(|| u64::from_str_radix(digits, 16).ok())?
+}
+
+/// Bytes as pairs of hexadecimal digits.
+pub fn hex_bytes(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
 }

@@ -2,7 +2,7 @@
 
 use cosmic_core::Subject;
 use cosmic_core::event_layer::Delivered;
-use cosmic_monitor::SegmentPlan;
+use cosmic_monitor::{SegmentPlan, hex_bytes};
 use cosmic_plan::contents::Field;
 use cosmic_session::{Session, Subscription};
 use pyo3::exceptions::PyKeyError;
@@ -65,10 +65,10 @@ impl Event {
                 text += &words.join(" ");
             }
             Some(Err(why)) => {
-                text += &format!("{} (malformed: {why})", digits(&event.content));
+                text += &format!("{} (malformed: {why})", hex_bytes(&event.content));
                 malformed = Some(why);
             }
-            _ => text += &digits(&event.content),
+            _ => text += &hex_bytes(&event.content),
         }
         Ok(Self {
             channel,
@@ -126,10 +126,6 @@ pub(crate) fn decode<'plan>(
     let layout = plan.cluster().layout_of(channel);
     let Some(layout) = layout else { return Ok(Vec::new()) };
     layout.decode(bytes).map_err(|why| why.to_string())
-}
-
-fn digits(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
 }
 
 fn word(field: &Field<'_>) -> String {

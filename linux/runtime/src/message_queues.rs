@@ -102,9 +102,11 @@ impl Outbox {
     /// Ends: each turn starts a message that waits, or is the last.
     fn send(&mut self, half: &mut Half, now: Instant, dues: &mut Vec<Due>) {
         loop {
-            // Of a message that cannot be sent, the counters of its channel say so.
+            let (before, _) = self.publisher.last_fragment();
+            // Of a message that cannot be sent, the counters of its channel say so. A frame that waits behind another one
+            // is due without a command: the core is to be asked anew when to look at it.
             if let Ok(due) = half.send_message(now, &mut self.publisher)
-                && due.command().is_some()
+                && self.publisher.last_fragment().0 != before
             {
                 dues.push(due);
             }

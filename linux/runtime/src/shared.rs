@@ -26,7 +26,7 @@ pub(crate) struct Shared {
     pub(crate) link_wake: Notify,
     /// The core wants to be polled earlier than it said last.
     pub(crate) timer_wake: Notify,
-    /// How many frames have left: changes with each.
+    /// Changes whenever frames have left.
     pub(crate) departures: watch::Sender<u64>,
     /// Changes whenever a wait for a condition is to look again.
     pub(crate) changed: watch::Sender<u64>,
@@ -149,6 +149,11 @@ impl Shared {
         // Whoever panicked did so in the core, which does not; what it left is looked at as it is.
         self.core.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    /// Frames have left the link's places, sent or given back.
+    fn departed(&self) {
+        self.departures.send_modify(|departures| *departures = departures.wrapping_add(1));
+    }
 }
 
 impl End for Shared {
@@ -158,6 +163,7 @@ impl End for Shared {
 
     fn disconnected(&self, why: &LinkError) {
         self.act(|core, now| core.disconnected(why, now));
+        self.departed();
     }
 
     fn received(&self, frame: &Frame, _: Option<std::time::Duration>) {
@@ -197,7 +203,7 @@ impl End for Shared {
 
     fn conclude(&self, mailbox: Mailbox, outcome: Outcome) {
         self.act(|core, now| core.conclude(mailbox, outcome, now));
-        self.departures.send_modify(|departures| *departures = departures.wrapping_add(1));
+        self.departed();
     }
 
     fn unsent(&self) {

@@ -5,7 +5,7 @@ mod common;
 use std::time::Duration as Span;
 
 use common::{Bed, HEAT, TEXT, uid};
-use cosmic_core::admission::{AdmissionPlan, CalendarDemand, Faults, Reservations, Unplanned};
+use cosmic_core::admission::{AdmissionPlan, Reservations, Unplanned};
 use cosmic_core::can::{BitRate, Etag, TxNode};
 use cosmic_core::client::AdmissionState;
 use cosmic_core::event_layer::{
@@ -65,17 +65,7 @@ async fn a_node_without_ids_gets_them_from_a_broker_on_linux() {
 static ASKED: AdmissionPlan = AdmissionPlan {
     unplanned: Unplanned::Ask,
     planned: &[],
-    reservations: Reservations {
-        bit_rate: BitRate::MAX,
-        priority_step: Duration::from_micros(160),
-        reload: Duration::from_micros(10),
-        slow_refill: false,
-        faults: Faults::None,
-        calendar: CalendarDemand::NONE,
-        above: &[],
-        soft: &[],
-        guarded: &[],
-    },
+    reservations: Reservations::nothing(BitRate::MAX, Duration::from_micros(160), Duration::from_micros(10)),
 };
 
 #[tokio::test(start_paused = true)]

@@ -28,12 +28,14 @@
 //! thread of the session does not run.
 
 mod config;
+mod events;
 mod failure;
 mod quality;
 mod session;
 mod subscription;
 
 pub use config::node_config;
+pub use events::Events;
 pub use failure::{Closed, Failure};
 pub use quality::{Class, Declared, LONGEST_MESSAGE, Quality, Times};
 pub use session::{PATIENCE, Session, Settings};

@@ -15,9 +15,10 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::sync::watch;
 
 use crate::config::node_config;
+use crate::events::Events;
 use crate::failure::Failure;
 use crate::quality::{Declared, LONGEST_MESSAGE, Quality, Times};
-use crate::subscription::{Queue, Source, Subscription};
+use crate::subscription::{Queue, Subscription};
 
 /// What a session is told when it is opened.
 #[derive(Clone, Debug)]
@@ -212,12 +213,7 @@ impl Session {
         self.thread()?;
         let channel = self.channel(subject, quality)?;
         let refused = |why: String| Failure::Refused(why);
-        let source = match &channel {
-            Declared::Events(channel) => self.node.subscribe(channel, queue.policy()).map(Source::Events),
-            Declared::Messages(channel) => {
-                self.node.subscribe_messages(channel, queue.policy()).map(Source::Messages)
-            }
-        };
+        let source = Events::of(&self.node, &channel, queue.policy());
         let source = source.map_err(|why| refused(why.to_string()))?;
         let subscription = Subscription::new(source, queue)
             .map_err(|why| refused(format!("no descriptor can be had: {why}; close some")))?;
@@ -240,10 +236,11 @@ impl Session {
     }
 
     fn publisher(&self, subject: Subject, quality: Option<&Quality>) -> Result<Outlet, Failure> {
-        self.thread()?;
+        // What has been closed has none.
         if let Some(publisher) = self.lock().publishers.get(&subject) {
             return Ok(publisher.clone());
         }
+        self.thread()?;
         let channel = self.channel(subject, quality)?;
         let refused = |why: AnnounceError| Failure::Refused(why.to_string());
         let publisher = match &channel {

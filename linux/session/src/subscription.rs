@@ -8,14 +8,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll, Wake, Waker};
 use std::time::{Duration, Instant};
 
-use cosmic_core::can::Payload;
-use cosmic_core::event_layer::{Bytes, Delivered, Depth, Policy};
-use cosmic_linux::{MessageSubscriber, Node, Subscriber};
+use cosmic_core::event_layer::{Delivered, Depth, Policy};
+use cosmic_linux::Node;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::io::Errno;
 
+use crate::events::Events;
 use crate::failure::Closed;
-use crate::quality::LONGEST_MESSAGE;
 
 /// How events wait.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -38,7 +37,7 @@ impl Queue {
 
 /// A subscription to a channel. Any thread may call; an event comes to one of them. It ends when it is dropped.
 pub struct Subscription {
-    source: Source,
+    source: Events,
     queue: Queue,
     signal: Arc<Signal>,
     waker: Waker,
@@ -47,14 +46,8 @@ pub struct Subscription {
     closed: AtomicBool,
 }
 
-/// Where events come from.
-pub(crate) enum Source {
-    Events(Subscriber<Payload>),
-    Messages(MessageSubscriber<Bytes<LONGEST_MESSAGE>>),
-}
-
 impl Subscription {
-    pub(crate) fn new(source: Source, queue: Queue) -> std::io::Result<Self> {
+    pub(crate) fn new(source: Events, queue: Queue) -> std::io::Result<Self> {
         let signal = Arc::new(Signal(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?));
         let waker = Waker::from(Arc::clone(&signal));
         let (first, closed) = (Mutex::new(None), AtomicBool::new(false));
@@ -121,10 +114,7 @@ impl Subscription {
 
     /// The node.
     pub fn node(&self) -> &Node {
-        match &self.source {
-            Source::Events(subscriber) => subscriber.node(),
-            Source::Messages(subscriber) => subscriber.node(),
-        }
+        self.source.node()
     }
 
     /// Finds the event that the descriptor is to tell of; if there is none, the next one sets it.
@@ -139,15 +129,7 @@ impl Subscription {
 
     fn poll(&self) -> Option<Delivered<Vec<u8>>> {
         let mut context = Context::from_waker(&self.waker);
-        let next = match &self.source {
-            Source::Events(subscriber) => pin!(subscriber.next())
-                .poll(&mut context)
-                .map(|event| of_bytes(&event, event.content.as_slice())),
-            Source::Messages(subscriber) => pin!(subscriber.next())
-                .poll(&mut context)
-                .map(|message| of_bytes(&message, message.content.as_slice())),
-        };
-        match next {
+        match pin!(self.source.next()).poll(&mut context) {
             Poll::Ready(event) => Some(event),
             Poll::Pending => None,
         }
@@ -156,11 +138,6 @@ impl Subscription {
     fn lock(&self) -> std::sync::MutexGuard<'_, Option<Delivered<Vec<u8>>>> {
         self.first.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-fn of_bytes<C>(event: &Delivered<C>, content: &[u8]) -> Delivered<Vec<u8>> {
-    let Delivered { context, publisher, id, received_at, .. } = *event;
-    Delivered { content: content.to_vec(), context, publisher, id, received_at }
 }
 
 /// A descriptor that is readable from `wake` until `clear`.

@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::warn;
 use crate::arguments::Echo;
 use crate::context::Context;
-use crate::failure::{FOUND, Failure};
+use crate::failure::Failure;
 use crate::output::Style;
 
 /// An event for machines.
@@ -46,10 +46,7 @@ pub(super) async fn echo(context: &mut Context, options: &Echo) -> Result<ExitCo
     if messages.dropped > 0 {
         eprintln!("cosmic: {} messages had frames missing, and are not shown", messages.dropped);
     }
-    if printed == 0 && !context.output.json() {
-        eprintln!("cosmic: no event was heard; `cosmic channels` shows what there is");
-    }
-    Ok(if printed > 0 { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
+    Ok(context.ended(printed > 0, "no event was heard; `cosmic channels` shows what there is"))
 }
 
 /// One event, with the time since the start.

@@ -31,22 +31,8 @@ pub(super) async fn nodes(context: &mut Context, options: &Listen) -> Result<Exi
         let rows: Vec<_> = snapshot.nodes.iter().map(node_row).collect();
         context.output.table(&heads, &rows)?;
     }
-    Ok(code(
-        context,
-        snapshot.nodes.iter().any(|node| node.alive),
-        "no node was heard; `cosmic doctor` says why",
-    ))
-}
-
-/// Says so if there is nothing to be seen.
-fn code(context: &Context, any: bool, otherwise: &str) -> ExitCode {
-    if any {
-        return ExitCode::SUCCESS;
-    }
-    if !context.output.json() {
-        eprintln!("cosmic: {otherwise}");
-    }
-    ExitCode::from(FOUND)
+    Ok(context
+        .ended(snapshot.nodes.iter().any(|node| node.alive), "no node was heard; `cosmic doctor` says why"))
 }
 
 fn node_row(node: &NodeView) -> Vec<Cell> {
@@ -84,7 +70,7 @@ pub(super) async fn channels(context: &mut Context, options: &Listen) -> Result<
         context.output.table(&heads, &rows)?;
     }
     let any = snapshot.channels.iter().any(is_heard_of);
-    Ok(code(context, any, "nothing was heard of any channel; `cosmic doctor` says why"))
+    Ok(context.ended(any, "nothing was heard of any channel; `cosmic doctor` says why"))
 }
 
 fn is_heard_of(channel: &ChannelView) -> bool {

@@ -13,7 +13,7 @@ use super::{listen, warn};
 use crate::arguments::Measure;
 use crate::context::{Chosen, Context};
 use crate::distances::Distances;
-use crate::failure::{FOUND, Failure};
+use crate::failure::Failure;
 use crate::output::{Cell, Style, short, signed};
 
 #[derive(Serialize, Debug)]
@@ -74,7 +74,7 @@ pub(super) async fn hz(context: &mut Context, options: &Measure) -> Result<ExitC
             ["CHANNEL", "NODE", "EVENTS", "HZ", "MEAN", "SHORTEST", "LONGEST", "DEVIATION", "PLANNED"];
         context.output.table(&heads, &rhythms.iter().map(rhythm_row).collect::<Vec<_>>())?;
     }
-    Ok(nothing_heard(context, rhythms.is_empty()))
+    Ok(context.ended(!rhythms.is_empty(), NOTHING))
 }
 
 fn rhythm_row(rhythm: &Rhythm) -> Vec<Cell> {
@@ -90,16 +90,6 @@ fn rhythm_row(rhythm: &Rhythm) -> Vec<Cell> {
         span(rhythm.deviation_ns),
         span(rhythm.period_ns.map(|ns| ns as f64)),
     ]
-}
-
-fn nothing_heard(context: &Context, nothing: bool) -> ExitCode {
-    if !nothing {
-        return ExitCode::SUCCESS;
-    }
-    if !context.output.json() {
-        eprintln!("cosmic: no such event was heard; `cosmic channels` shows what there is");
-    }
-    ExitCode::from(FOUND)
 }
 
 #[derive(Serialize, Debug)]
@@ -123,7 +113,7 @@ pub(super) async fn latency(context: &mut Context, options: &Measure) -> Result<
     let nothing = latencies.soft.is_empty() && latencies.hard.iter().all(|slot| slot.frames == 0);
     if context.output.json() {
         context.output.whole(&latencies)?;
-        return Ok(nothing_heard(context, nothing));
+        return Ok(context.ended(!nothing, NOTHING));
     }
     if !latencies.soft.is_empty() {
         let heads = ["SOFT CHANNEL", "EVENTS", "DEADLINE", "OLDEST", "LEAST LEFT", "AT THE LIMIT"];
@@ -140,7 +130,7 @@ pub(super) async fn latency(context: &mut Context, options: &Measure) -> Result<
         let rows: Vec<_> = latencies.hard.iter().map(|slot| slot_row(slot, &monitor)).collect();
         context.output.table(&heads, &rows)?;
     }
-    Ok(nothing_heard(context, nothing))
+    Ok(context.ended(!nothing, NOTHING))
 }
 
 fn is_one(chosen: &Chosen, monitor: &Monitor, etag: Option<u16>) -> bool {
@@ -181,3 +171,5 @@ fn slot_row(slot: &SlotView, monitor: &Monitor) -> Vec<Cell> {
 
 /// Pairs of channel and publisher that are measured.
 const MOST: usize = 4096;
+
+const NOTHING: &str = "no such event was heard; `cosmic channels` shows what there is";

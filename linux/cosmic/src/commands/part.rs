@@ -9,9 +9,9 @@ use cosmic_core::event_layer::{
     Bytes, Channel, Delivered, Depth, Importance, NonRealTimeAttributes, Policy, SoftAttributes,
 };
 use cosmic_core::time;
-use cosmic_linux::{BrokerTables, MessageSubscriber, Node, Subscriber, drawn_uid};
-use cosmic_monitor::{ByteMessages, DecodedField, SegmentPlan};
-use cosmic_session::{Declared, LONGEST_MESSAGE, node_config};
+use cosmic_linux::{BrokerTables, Node, drawn_uid};
+use cosmic_monitor::{ByteMessages, DecodedField, SegmentPlan, hex_bytes};
+use cosmic_session::{Declared, Events, LONGEST_MESSAGE, node_config};
 use serde::Serialize;
 
 use crate::arguments::{Class, Identity, Publish, Subscribe, subject};
@@ -136,7 +136,8 @@ struct Line<'a> {
 pub(super) async fn subscribe(context: &mut Context, options: &Subscribe) -> Result<ExitCode, Failure> {
     let (channel, at) = subscribed(context.plan.as_ref(), options)?;
     let node = start(context, &options.identity, None).await?;
-    let events = Events::of(&node, &channel)?;
+    let policy = Depth::new(QUEUE).map_or(Policy::Latest, Policy::Fifo);
+    let events = Events::of(&node, &channel, policy).map_err(|error| Failure::input(error.to_string()))?;
     named(&options.identity, node.configured()).await?;
     let until = end_of(options.span);
     let (mut printed, began) = (0, node.now());
@@ -150,46 +151,7 @@ pub(super) async fn subscribe(context: &mut Context, options: &Subscribe) -> Res
         print(context, &options.channel, at, &event, began)?;
         printed += 1;
     }
-    if printed == 0 && !context.output.json() {
-        eprintln!("cosmic: no event has come; `cosmic channels` shows who publishes");
-    }
-    Ok(if printed > 0 { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
-}
-
-/// The events of a channel, as they come.
-enum Events {
-    Frames(Subscriber<Payload>),
-    Messages(MessageSubscriber<Bytes<LONGEST_MESSAGE>>),
-}
-
-impl Events {
-    fn of(node: &Node, channel: &Declared) -> Result<Self, Failure> {
-        let policy = Depth::new(QUEUE).map_or(Policy::Latest, Policy::Fifo);
-        match channel {
-            Declared::Events(channel) => node.subscribe(channel, policy).map(Self::Frames),
-            Declared::Messages(channel) => node.subscribe_messages(channel, policy).map(Self::Messages),
-        }
-        .map_err(|error| Failure::input(error.to_string()))
-    }
-
-    /// Cancelling the wait loses none.
-    async fn next(&self) -> Delivered<Vec<u8>> {
-        match self {
-            Self::Frames(subscriber) => {
-                let event = subscriber.next().await;
-                of_bytes(&event, event.content.as_slice())
-            }
-            Self::Messages(subscriber) => {
-                let message = subscriber.next().await;
-                of_bytes(&message, message.content.as_slice())
-            }
-        }
-    }
-}
-
-fn of_bytes<C>(event: &Delivered<C>, content: &[u8]) -> Delivered<Vec<u8>> {
-    let Delivered { context, publisher, id, received_at, .. } = *event;
-    Delivered { content: content.to_vec(), context, publisher, id, received_at }
+    Ok(context.ended(printed > 0, "no event has come; `cosmic channels` shows who publishes"))
 }
 
 fn print(
@@ -203,7 +165,7 @@ fn print(
     let plan = context.plan.as_ref();
     let decoded = plan.zip(at).map(|(plan, at)| plan.decode(at, &event.content));
     let node = plan.and_then(|plan| plan.node(event.publisher)).map(|node| node.name.clone());
-    let data: String = event.content.iter().map(|byte| format!("{byte:02X}")).collect();
+    let data = hex_bytes(&event.content);
     if context.output.json() {
         let publisher = event.publisher.get();
         let fields = decoded.and_then(Result::ok).unwrap_or_default();
@@ -302,12 +264,13 @@ async fn publish_messages(
             break;
         }
     }
-    let unsent = u64::from(publisher.discarded()) + u64::from(!publisher.is_idle());
-    Ok([published, published - unsent, u64::from(publisher.discarded())])
+    let expired = u64::from(publisher.discarded());
+    let unsent = expired + u64::from(!publisher.is_idle());
+    Ok([published, published - unsent, expired])
 }
 
 /// Waits for the time of the next event, if there was one before. `false`: the user has had enough.
-async fn goes_on(published: u64, options: &Publish) -> bool {
+pub(crate) async fn goes_on(published: u64, options: &Publish) -> bool {
     if published == 0 {
         return true;
     }
@@ -330,8 +293,11 @@ pub(super) async fn concluded(node: &Node, subject: Subject) {
 async fn within_longest_wait(holds: impl Fn() -> bool) -> bool {
     let until = tokio::time::Instant::now() + LONGEST_WAIT;
     loop {
-        if holds() || tokio::time::Instant::now() >= until {
-            return holds();
+        if holds() {
+            return true;
+        }
+        if tokio::time::Instant::now() >= until {
+            return false;
         }
         tokio::time::sleep(Duration::from_millis(2)).await;
     }

@@ -7,7 +7,7 @@ use super::{Crossing, subjects};
 use crate::arguments::Echo;
 use crate::choice::Endpoint;
 use crate::context::Context;
-use crate::failure::{FOUND, Failure};
+use crate::failure::Failure;
 
 pub(super) async fn echo(context: &mut Context, at: &Endpoint, options: &Echo) -> Result<ExitCode, Failure> {
     if options.control {
@@ -23,8 +23,5 @@ pub(super) async fn echo(context: &mut Context, at: &Endpoint, options: &Echo) -
         printed += 1;
     }
     crossing.end().await;
-    if printed == 0 && !context.output.json() {
-        eprintln!("cosmic: no event has crossed; `cosmic nodes` across IP shows who is there");
-    }
-    Ok(if printed > 0 { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
+    Ok(context.ended(printed > 0, "no event has crossed; `cosmic nodes` across IP shows who is there"))
 }

@@ -11,7 +11,7 @@ use super::flows::{Flow, Flows};
 use crate::arguments::Listen;
 use crate::choice::Endpoint;
 use crate::context::Context;
-use crate::failure::{FOUND, Failure};
+use crate::failure::Failure;
 use crate::output::{Cell, short};
 
 /// All that crosses within a span, and who speaks.
@@ -65,7 +65,7 @@ pub(super) async fn nodes(
         let heads = ["SEGMENT", "NODE", "CHANNELS", "EVENTS", "MISSING", "HEARD", "SPEAKS", "CLOCK TO"];
         context.output.table(&heads, &nodes.iter().map(node_row).collect::<Vec<_>>())?;
     }
-    Ok(code(context, nodes.is_empty(), "nobody speaks for any segment on this network; look at --network"))
+    Ok(context.ended(!nodes.is_empty(), "nobody speaks for any segment on this network; look at --network"))
 }
 
 fn nodes_of(flows: &Flows, participants: &[Participant], now_ns: u64) -> Vec<NodeSeen> {
@@ -138,11 +138,8 @@ pub(super) async fn channels(
         let heads = ["SUBJECT", "CHANNEL", "CLASS", "EVENTS/S", "PUBLISHERS", "LEFT AT LEAST", "LAST"];
         context.output.table(&heads, &channels.iter().map(channel_row).collect::<Vec<_>>())?;
     }
-    Ok(code(
-        context,
-        channels.is_empty(),
-        "no event has crossed; `cosmic nodes` across IP shows who is there",
-    ))
+    Ok(context
+        .ended(!channels.is_empty(), "no event has crossed; `cosmic nodes` across IP shows who is there"))
 }
 
 fn channel<'a>(flows: &[&'a Flow], now_ns: u64) -> Option<ChannelSeen<'a>> {
@@ -169,15 +166,4 @@ fn channel_row(channel: &ChannelSeen<'_>) -> Vec<Cell> {
         Cell::or_dash(channel.least_left_ns.map(crate::output::signed)),
         Cell::new(channel.last.clone()),
     ]
-}
-
-/// Says so if there is nothing to be seen.
-pub(super) fn code(context: &Context, nothing: bool, otherwise: &str) -> ExitCode {
-    if !nothing {
-        return ExitCode::SUCCESS;
-    }
-    if !context.output.json() {
-        eprintln!("cosmic: {otherwise}");
-    }
-    ExitCode::from(FOUND)
 }

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use serde::Serialize;
 
 use super::flows::Flow;
-use super::lists::{code, heard};
+use super::lists::heard;
 use super::subjects;
 use crate::arguments::Measure;
 use crate::choice::Endpoint;
@@ -58,7 +58,7 @@ pub(super) async fn hz(context: &mut Context, at: &Endpoint, options: &Measure) 
             ["CHANNEL", "PUBLISHER", "EVENTS", "MISSING", "HZ", "MEAN", "SHORTEST", "LONGEST", "DEVIATION"];
         context.output.table(&heads, &rhythms.iter().map(rhythm_row).collect::<Vec<_>>())?;
     }
-    Ok(code(context, rhythms.is_empty(), NOTHING))
+    Ok(context.ended(!rhythms.is_empty(), NOTHING))
 }
 
 fn rhythm_row(rhythm: &Rhythm<'_>) -> Vec<Cell> {
@@ -124,7 +124,7 @@ pub(super) async fn latency(
             ["CHANNEL", "CLASS", "PUBLISHER", "EVENTS", "ON IP AT MOST", "LEFT AT LEAST", "LATE", "UNKNOWN"];
         context.output.table(&heads, &latencies.iter().map(latency_row).collect::<Vec<_>>())?;
     }
-    Ok(code(context, latencies.is_empty(), NOTHING))
+    Ok(context.ended(!latencies.is_empty(), NOTHING))
 }
 
 fn latency_row(latency: &Latency<'_>) -> Vec<Cell> {

@@ -24,7 +24,7 @@ use crate::arguments::{self, Command};
 use crate::choice::Endpoint;
 use crate::context::Context;
 use crate::failure::Failure;
-use crate::source::{sleep_until, std_span};
+use crate::source::{end_of, sleep_until};
 
 /// Runs a command that takes `--link`.
 pub(crate) async fn run(context: &mut Context, at: &Endpoint, command: Command) -> Result<ExitCode, Failure> {
@@ -70,7 +70,7 @@ impl Crossing {
         // What is left of an event's time is known as soon as its sender's clock is; what came before is not shown.
         let _ = tokio::time::timeout(CLOCKS, clocks(&listener)).await;
         listener.forget();
-        let until = span.and_then(|span| tokio::time::Instant::now().checked_add(std_span(span)));
+        let until = end_of(span);
         let began = listener.now();
         Ok(Self { listener, until, began })
     }

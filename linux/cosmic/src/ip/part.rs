@@ -8,16 +8,17 @@ use cosmic_core::event_layer::{Channel, Depth, Event, Policy};
 use cosmic_gateway::counters::{Direction, Outcome};
 use cosmic_gateway::ip::{IpError, Node, Received};
 use cosmic_linux::{AnnounceError, drawn_uid};
+use cosmic_monitor::class_name;
 use cosmic_session::Declared;
 
 use super::words::{self, Line};
-use super::{CLOCKS, PATIENCE, name, network, std_span, unreachable_at};
+use super::{CLOCKS, PATIENCE, name, network, unreachable_at};
 use crate::arguments::{Identity, Publish, Subscribe};
 use crate::choice::Endpoint;
 use crate::commands::part;
 use crate::context::Context;
 use crate::failure::{FOUND, Failure};
-use crate::source::sleep_until;
+use crate::source::{end_of, sleep_until, std_span};
 
 /// A node on IP, when it is connected.
 async fn start(context: &Context, at: &Endpoint, identity: &Identity) -> Result<Node, Failure> {
@@ -57,7 +58,7 @@ pub(super) async fn subscribe(
     let node = start(context, at, &options.identity).await?;
     let policy = Depth::new(QUEUE).map_or(Policy::Latest, Policy::Fifo);
     let subscriber = node.subscribe(&channel, policy).await.map_err(refused)?;
-    let until = options.span.and_then(|span| tokio::time::Instant::now().checked_add(std_span(span)));
+    let until = end_of(options.span);
     let (mut printed, began) = (0, node.now());
     while options.count.is_none_or(|count| printed < count) {
         let event = tokio::select! {
@@ -74,11 +75,8 @@ pub(super) async fn subscribe(
     if dropped > 0 {
         eprintln!("cosmic: {dropped} events came too fast, and are not shown");
     }
-    if printed == 0 && !context.output.json() {
-        eprintln!("cosmic: no event has come; `cosmic channels` across IP shows who publishes");
-    }
     end(node).await;
-    Ok(if printed > 0 { ExitCode::SUCCESS } else { ExitCode::from(FOUND) })
+    Ok(context.ended(printed > 0, "no event has come; `cosmic channels` across IP shows who publishes"))
 }
 
 fn line(context: &Context, subject: Subject, event: &Received<Payload>, at_ns: u64) -> Line {
@@ -86,7 +84,7 @@ fn line(context: &Context, subject: Subject, event: &Received<Payload>, at_ns: u
     let (fields, malformed) = words::content(plan, subject, event.content.as_slice());
     Line {
         at_ns,
-        class: words::class(event.class),
+        class: class_name(event.class),
         segment: event.origin.segment.to_string(),
         tx_node: event.origin.node.map(|node| node.get()),
         subject: subject.to_string(),
@@ -123,13 +121,7 @@ pub(super) async fn publish(
     // Before others know this node's clock, they discard what it sends.
     let _ = tokio::time::timeout(CLOCKS, node.known()).await;
     let mut published = 0_u64;
-    while published < options.count {
-        if published > 0 {
-            tokio::select! {
-                () = tokio::time::sleep(std_span(options.every)) => {}
-                _ = tokio::signal::ctrl_c() => break,
-            }
-        }
+    while published < options.count && part::goes_on(published, options).await {
         let mut event = Event::new(content);
         event.deadline = options.deadline.map(|deadline| node.now() + deadline);
         event.expires_at = options.validity.map(|validity| node.now() + validity);

@@ -13,15 +13,15 @@ use ratatui::text::Line as Text;
 use ratatui::widgets::{Block, Paragraph, Row, Table};
 use tokio::time::{Instant, MissedTickBehavior};
 
+use super::Crossing;
 use super::flows::{Flow, Flows};
 use super::words::{Line, time_left};
-use super::{Crossing, std_span};
 use crate::arguments::Top;
 use crate::choice::Endpoint;
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::output::short;
-use crate::source::sleep_until;
+use crate::source::{end_of, sleep_until};
 
 pub(super) async fn run(context: &mut Context, at: &Endpoint, options: &Top) -> Result<ExitCode, Failure> {
     if !std::io::stdout().is_terminal() || context.output.json() {
@@ -30,7 +30,7 @@ pub(super) async fn run(context: &mut Context, at: &Endpoint, options: &Top) -> 
         ));
     }
     let mut crossing = Crossing::listen(context, at, None, None).await?;
-    let until = options.span.and_then(|span| Instant::now().checked_add(std_span(span)));
+    let until = end_of(options.span);
     let mut terminal = ratatui::try_init().map_err(|error| {
         Failure::input(format!("the terminal cannot be drawn on: {error}; try another TERM"))
     })?;

@@ -1,10 +1,9 @@
 //! Events that cross, in words and for machines.
 
 use cosmic_core::Subject;
-use cosmic_core::protocol::Class;
 use cosmic_core::time::Instant;
 use cosmic_gateway::ip::Heard;
-use cosmic_monitor::{DecodedField, SegmentPlan};
+use cosmic_monitor::{DecodedField, SegmentPlan, class_name, hex_bytes};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -39,7 +38,7 @@ impl Line {
         let (fields, malformed) = content(plan, heard.subject, &heard.content);
         Self {
             at_ns,
-            class: class(heard.class),
+            class: class_name(heard.class),
             segment: heard.origin.segment.to_string(),
             tx_node: heard.origin.node.map(|node| node.get()),
             subject: heard.subject.to_string(),
@@ -47,7 +46,7 @@ impl Line {
             number: Some(heard.number),
             missing: heard.missing,
             left_ns: left(heard.deadline, heard.received_at),
-            data: hexadecimal(&heard.content),
+            data: hex_bytes(&heard.content),
             fields,
             malformed,
         }
@@ -93,14 +92,6 @@ pub(super) fn place(segment: &str, tx_node: Option<u8>) -> String {
     tx_node.map_or_else(|| segment.to_owned(), |node| format!("{segment}/{node:02X}"))
 }
 
-pub(super) const fn class(class: Class) -> &'static str {
-    match class {
-        Class::Hard => "HRT",
-        Class::Soft => "SRT",
-        Class::NonRealTime => "NRT",
-    }
-}
-
 /// The name of a channel in the plan.
 pub(super) fn channel(plan: Option<&SegmentPlan>, subject: Subject) -> Option<String> {
     let plan = plan?;
@@ -134,10 +125,6 @@ pub(super) fn time_left(left_ns: Option<i64>) -> String {
         Some(left) if left < 0 => format!("late {}", short(left.unsigned_abs())),
         Some(left) => format!("left {}", short(left.unsigned_abs())),
     }
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
 }
 
 #[cfg(test)]
