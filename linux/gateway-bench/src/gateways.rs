@@ -27,14 +27,6 @@ pub struct State {
     pub outcomes: BTreeMap<String, u64>,
 }
 
-impl State {
-    /// How many events became that; all of a direction but those forwarded if none is named.
-    pub fn lost(&self, direction: &str) -> u64 {
-        let lost = |what: &str| what.starts_with(direction) && !what.contains(FORWARDED);
-        self.outcomes.iter().filter(|(what, _)| lost(what)).map(|(_, count)| count).sum()
-    }
-}
-
 /// Starts a process with the gateways of these configurations, on one core if one is named.
 ///
 /// # Errors
@@ -134,4 +126,5 @@ fn add(outcomes: &mut BTreeMap<String, u64>, direction: &str, counters: Option<&
 
 /// What this process is started as.
 pub const ROLE: &str = "gateways";
-const FORWARDED: &str = "Forwarded";
+/// In the outcomes of events that crossed.
+pub const FORWARDED: &str = "Forwarded";

@@ -73,7 +73,7 @@ fn experiment(options: &Options) -> Result<Vec<String>, Failed> {
                 let (_, added) = found.added();
                 if added > ADDS {
                     broken
-                        .push(format!("two gateways add {added:.1} µs at the median, not less than {ADDS}"));
+                        .push(format!("two gateways add {added:.1} µs at the median of the quietest batch, not less than {ADDS}"));
                 }
                 report.latency = Some(found);
             }
@@ -136,5 +136,5 @@ fn files(options: &Options) -> Result<(Option<Pending>, Option<Pending>), Output
     Ok((options.json.as_ref().map(open).transpose()?, options.svg.as_ref().map(open).transpose()?))
 }
 
-/// What the gateways may add at the median, in microseconds.
+/// What the gateways may add at the median of the quietest batch, in microseconds.
 const ADDS: f64 = 100.0;

@@ -25,7 +25,12 @@ const PANELS: [Panel; 4] = [
         curves: &[
             Curve { label: "gateway that sends", colour: BLUE, is_zenoh: false, of: |it| it.event[0] },
             Curve { label: "gateway that gets", colour: GREEN, is_zenoh: false, of: |it| it.event[2] },
-            Curve { label: "router, each way", colour: ORANGE, is_zenoh: true, of: |it| it.event[1] },
+            Curve {
+                label: "router, for each receiver",
+                colour: ORANGE,
+                is_zenoh: true,
+                of: |it| it.event[1],
+            },
         ],
     },
     Panel {
@@ -67,7 +72,7 @@ pub fn draw(scale: &Scale) -> String {
     }
     let names: Vec<_> = subjects.iter().map(ToString::to_string).collect();
     let legend = format!(
-        "Against the number of segments, with {} subjects on each (hollow marks: {}); broken lines: zenoh's router.",
+        "Against the number of segments, with {} subjects on each (hollow marks: {}); broken lines: zenoh's router. Both scales are logarithmic; less is better.",
         names.join(" and "),
         names.first().map_or("", String::as_str),
     );
@@ -97,7 +102,8 @@ impl Axes {
         Self {
             corner,
             x: span(&segments),
-            y: (10_f64.powf(low.log10().floor()), 10_f64.powf(high.log10().ceil())),
+            // With room for the names of the curves.
+            y: (10_f64.powf(low.log10().floor()), 10_f64.powf((high.log10() + 0.5).ceil())),
         }
     }
 

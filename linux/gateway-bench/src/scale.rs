@@ -116,19 +116,16 @@ impl fmt::Display for Scale {
 /// Something does not start, or does not cross.
 pub fn measure(folder: &Path, segments: usize, subjects: usize, events: u64) -> Result<Point, Failed> {
     let mut bed = Bed::start(folder, segments, subjects)?;
-    let begun = Instant::now();
     let empty = bed.costs_of_start;
     bed.open()?;
-    let (began, open) = (begun.elapsed().as_secs_f64() + bed.starting, bed.costs()?);
+    let (began, open) = (bed.begun.elapsed().as_secs_f64(), bed.costs()?);
     // Until what goes on behind has ended.
     std::thread::sleep(Span::from_secs(3));
     let before = bed.costs()?;
     std::thread::sleep(IDLE);
     let after = bed.costs()?;
     let gateways = segments as f64;
-    let idle = [1, 2].map(|at| after[at].cpu_since(&before[at]) as f64);
-    let idle_sender = after[1].cpu_since(&before[1]) as f64;
-    let idle_router = after[0].cpu_since(&before[0]) as f64;
+    let idle = [0, 1, 2].map(|at| after[at].cpu_since(&before[at]) as f64);
     let declarations = (2 * segments * subjects) as f64;
     let of_gateways = |costs: &[Cost; 3]| (costs[1].cpu + costs[2].cpu) as f64;
     let live = |costs: &[Cost; 3]| (costs[1].live + costs[2].live) as f64 / 1e6;
@@ -138,9 +135,9 @@ pub fn measure(folder: &Path, segments: usize, subjects: usize, events: u64) -> 
     let took = sent.elapsed().as_secs_f64() / IDLE.as_secs_f64();
     let loaded = bed.costs()?;
     let arrived = bed.heard() - heard;
-    let others = segments.saturating_sub(1).max(1) as f64;
-    let more = |at: usize, idle: f64| {
-        (loaded[at].cpu_since(&after[at]) as f64 - idle * took).max(0.0) / 1e3 / events as f64
+    let others = (segments - 1) as f64;
+    let more = |at: usize| {
+        (loaded[at].cpu_since(&after[at]) as f64 - idle[at] * took).max(0.0) / 1e3 / events as f64
     };
     Ok(Point {
         segments,
@@ -152,10 +149,10 @@ pub fn measure(folder: &Path, segments: usize, subjects: usize, events: u64) -> 
         ],
         memory: [(live(&after) - live(&empty)) / gateways, after[0].live as f64 / 1e6],
         idle: [
-            (idle[0] + idle[1]) / gateways / IDLE.as_nanos() as f64 * 1e3,
-            idle_router / IDLE.as_nanos() as f64 * 1e3,
+            (idle[1] + idle[2]) / gateways / IDLE.as_nanos() as f64 * 1e3,
+            idle[0] / IDLE.as_nanos() as f64 * 1e3,
         ],
-        event: [more(1, idle_sender), more(0, idle_router) / others, more(2, idle[1]) / others],
+        event: [more(1), more(0) / others, more(2) / others],
         arrived: (events, arrived as f64 / (events as f64 * others)),
     })
 }
@@ -164,14 +161,15 @@ pub fn measure(folder: &Path, segments: usize, subjects: usize, events: u64) -> 
 struct Bed {
     router: Child,
     sends: Child,
-    receive: Option<Child>,
+    receive: Child,
     from: Wire,
     _to: Vec<Wire>,
     /// By segment and channel.
     heard: Arc<[AtomicU64]>,
     subjects: usize,
     costs_of_start: [Cost; 3],
-    starting: f64,
+    /// When the first gateway was started.
+    begun: Instant,
 }
 
 impl Bed {
@@ -189,7 +187,6 @@ impl Bed {
             })?);
         }
         let port = free_port()?;
-        let begun = Instant::now();
         let mut router = Child::start(ROUTER, &[port.to_string()])?;
         let paths = [from.path()].into_iter().chain(to.iter().map(Wire::path));
         let file = |(at, path): (usize, &Path)| config(folder, at, path, port, subjects);
@@ -198,19 +195,17 @@ impl Bed {
         // What the processes cost without gateways.
         let mut empty = gateways::start(&[], None)?;
         let without = gateways::state(&mut empty)?.cost;
-        let costs_of_start =
-            [router.ask("cost")?, without, if others.is_empty() { Cost::default() } else { without }];
+        let costs_of_start = [router.ask("cost")?, without, without];
         drop(empty);
+        let begun = Instant::now();
         let sends = gateways::start(first, None)?;
-        let receive = (!others.is_empty()).then(|| gateways::start(others, None)).transpose()?;
-        let starting = begun.elapsed().as_secs_f64();
-        Ok(Self { router, sends, receive, from, _to: to, heard, subjects, costs_of_start, starting })
+        let receive = gateways::start(others, None)?;
+        Ok(Self { router, sends, receive, from, _to: to, heard, subjects, costs_of_start, begun })
     }
 
     fn costs(&mut self) -> Result<[Cost; 3], Failed> {
-        let receive = self.receive.as_mut().map(gateways::state).transpose()?;
-        let receive = receive.map_or(Cost::default(), |state| state.cost);
-        Ok([self.router.ask("cost")?, gateways::state(&mut self.sends)?.cost, receive])
+        let [sends, receive] = [&mut self.sends, &mut self.receive].map(gateways::state);
+        Ok([self.router.ask("cost")?, sends?.cost, receive?.cost])
     }
 
     fn heard(&self) -> u64 {

@@ -13,7 +13,7 @@ use serde::Serialize;
 use crate::child::Child;
 use crate::config::{Channel, Setup, etag_of, free_port, number_of};
 use crate::failed::Failed;
-use crate::gateways::{self, State};
+use crate::gateways::{self, FORWARDED, State};
 use crate::latency::PATIENCE;
 use crate::wire::Wire;
 
@@ -106,7 +106,7 @@ pub fn measure(folder: &Path, rate: u32, seconds: u64) -> Result<Throughput, Fai
     let delivered_before = bed.delivered();
     let begun = Instant::now();
     let mut warm = None;
-    let sent = load(&bed.near, rate, begun, Span::from_secs(seconds), |passed| {
+    let under_load = load(&bed.near, rate, begun, Span::from_secs(seconds), |passed| {
         if warm.is_none() && passed * 10 >= Span::from_secs(seconds) {
             warm = gateways_of(&mut bed.processes).ok();
         }
@@ -116,7 +116,7 @@ pub fn measure(folder: &Path, rate: u32, seconds: u64) -> Result<Throughput, Fai
     bed.flush()?;
     let after = bed.states()?;
     let warm = warm.ok_or_else(|| Failed("the run was too short".to_owned()))?;
-    let sent = sent + bed.flushed();
+    let sent = under_load + bed.flushed();
     let of = |at: usize, what| {
         let cpu = loaded[at].cost.cpu_since(&before[at].cost) as f64;
         let megabytes = |bytes: u64| bytes as f64 / 1e6;
@@ -124,14 +124,14 @@ pub fn measure(folder: &Path, rate: u32, seconds: u64) -> Result<Throughput, Fai
         Loaded {
             what,
             share: cpu / took.as_nanos() as f64,
-            of_event: cpu / 1e3 / sent as f64,
+            of_event: cpu / 1e3 / under_load as f64,
             resident: (megabytes(early.resident), megabytes(late.resident)),
             live: (megabytes(early.live), megabytes(late.live)),
         }
     };
     Ok(Throughput {
         asked: (rate, seconds),
-        rate: sent as f64 / took.as_secs_f64(),
+        rate: under_load as f64 / took.as_secs_f64(),
         sent,
         delivered: bed.delivered() - delivered_before,
         lost: losses(&before, &after),
@@ -145,7 +145,7 @@ fn losses(before: &[State; 2], after: &[State; 2]) -> BTreeMap<String, u64> {
     for ((before, after), place) in before.iter().zip(after).zip(["first gateway", "second gateway"]) {
         for (what, count) in &after.outcomes {
             let more = count - before.outcomes.get(what).copied().unwrap_or(0);
-            if more > 0 && !what.contains("Forwarded") {
+            if more > 0 && !what.contains(FORWARDED) {
                 lost.insert(format!("{place}, {what}"), more);
             }
         }

@@ -7,7 +7,11 @@ pub const TEMPERATURE: Subject = Subject::new(0xC05A_1C00_0000_0002).unwrap();
 /// The etag of commands; those of pings and pongs come next.
 pub const COMMAND_ETAG: u16 = 9000;
 /// Of commands, pings and pongs.
-pub const SUBJECTS: [u64; 3] = [0xC05A_1C00_0000_00C0, 0xC05A_1C00_0000_00C1, 0xC05A_1C00_0000_00C2];
+pub const SUBJECTS: [Subject; 3] = [
+    Subject::new(0xC05A_1C00_0000_00C0).unwrap(),
+    Subject::new(0xC05A_1C00_0000_00C1).unwrap(),
+    Subject::new(0xC05A_1C00_0000_00C2).unwrap(),
+];
 /// The etag of the gateways' beacons.
 pub const GATEWAYS_ETAG: u16 = 9010;
 

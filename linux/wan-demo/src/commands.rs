@@ -3,7 +3,6 @@
 use std::cell::RefCell;
 use std::time::{Duration as Span, Instant};
 
-use cosmic_core::Subject;
 use cosmic_core::can::Etag;
 use cosmic_core::event_layer::{Channel, Policy, SoftAttributes};
 use cosmic_core::time::Duration;
@@ -11,7 +10,7 @@ use cosmic_linux::What;
 use serde::Serialize;
 
 use crate::bed::Bed;
-use crate::channels::COMMAND_ETAG;
+use crate::channels::{COMMAND_ETAG, SUBJECTS};
 use crate::failed::{Failed, PATIENCE};
 
 /// How long a command is of use.
@@ -77,8 +76,7 @@ fn channel() -> Result<(Channel<u32>, Etag), Failed> {
     let quality =
         SoftAttributes { deadline: Duration::from_millis(100), validity: Duration::from_millis(300) };
     let etag = Etag::new(COMMAND_ETAG).ok_or_else(wrong)?;
-    let subject = Subject::new(0xC05A_1C00_0000_00C0).ok_or_else(wrong)?;
-    Ok((Channel::soft(subject, quality).with_etag(etag), etag))
+    Ok((Channel::soft(SUBJECTS[0], quality).with_etag(etag), etag))
 }
 
 /// What was heard on the far bus.

@@ -3,7 +3,6 @@
 use std::net::SocketAddr;
 use std::path::Path;
 
-use cosmic_core::Subject;
 use cosmic_core::can::Etag;
 use cosmic_core::time::Instant;
 use cosmic_monitor::{Monitor, SegmentPlan};
@@ -38,7 +37,7 @@ pub fn serve(bed: &Bed, cluster: &Path, listener: TcpListener) -> Result<JoinSet
     for served in [&bed.west, &bed.east] {
         let mut monitor = Monitor::with_plan(plan.clone(), Instant::EPOCH);
         for (subject, etag) in SUBJECTS.into_iter().zip(COMMAND_ETAG..) {
-            if let Some((subject, etag)) = Subject::new(subject).zip(Etag::new(etag)) {
+            if let Some(etag) = Etag::new(etag) {
                 monitor.learn(subject, etag);
             }
         }

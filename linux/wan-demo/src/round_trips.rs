@@ -2,7 +2,6 @@
 
 use std::time::{Duration as Span, Instant};
 
-use cosmic_core::Subject;
 use cosmic_core::can::Etag;
 use cosmic_core::event_layer::{Channel, Depth, Policy, SoftAttributes};
 use cosmic_core::time::Duration;
@@ -10,7 +9,7 @@ use cosmic_gateway::ip;
 use cosmic_linux::Node;
 use serde::Serialize;
 
-use crate::channels::COMMAND_ETAG;
+use crate::channels::{COMMAND_ETAG, SUBJECTS};
 use crate::failed::Failed;
 
 const QUALITY: SoftAttributes =
@@ -56,7 +55,7 @@ enum Subscriber {
 
 fn channel(number: u16) -> Result<Channel<u32>, Failed> {
     let wrong = || Failed("the demo's channels are wrong".to_owned());
-    let subject = Subject::new(0xC05A_1C00_0000_00C0 + u64::from(number)).ok_or_else(wrong)?;
+    let subject = *SUBJECTS.get(usize::from(number)).ok_or_else(wrong)?;
     let etag = Etag::new(COMMAND_ETAG + number).ok_or_else(wrong)?;
     Ok(Channel::soft(subject, QUALITY).with_etag(etag))
 }

@@ -41,7 +41,7 @@ pub struct Options {
     pub subjects_that_go: usize,
 
     /// Scale: segments, each with a gateway
-    #[arg(long, value_name = "N", value_delimiter = ',', default_value = "2,10,30,100", value_parser = within(2..=250_usize))]
+    #[arg(long, value_name = "N", value_delimiter = ',', default_value = "2,10,30", value_parser = within(2..=250_usize))]
     pub segments: Vec<usize>,
 
     /// Scale: subjects on each segment
