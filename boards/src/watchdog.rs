@@ -49,15 +49,12 @@ impl Watchdog {
         let Patience { prescaler, reload } = patience;
         // SAFETY: a bit of its own, which only this sets.
         unsafe { (*stm32f4xx_hal::pac::DBGMCU::ptr()).apb1_fz().modify(|_, w| w.dbg_iwdg_stop().set_bit()) };
-        // RM0090, 21.3: the settings arrive within five periods of the oscillator, which the start switches on. Until
-        // then the reset values hold, which are half a second and more.
+        // RM0090, 21.3: the settings arrive within five periods of the oscillator, which the start switches on. Until it is
+        // fed first, the reset value counts, which is 349 ms and more.
         registers.kr().write(|w| w.key().start());
-        // SAFETY: a key of the manual's; all values of three and of twelve bits are settings.
-        unsafe {
-            registers.kr().write(|w| w.bits(ACCESS));
-            registers.pr().write(|w| w.bits(prescaler.into()));
-            registers.rlr().write(|w| w.bits(reload));
-        }
+        registers.kr().write(|w| w.key().unlock());
+        registers.pr().write(|w| w.pr().set(prescaler));
+        registers.rlr().write(|w| w.rl().set(reload));
         Self { registers }
     }
 }
@@ -66,16 +63,10 @@ impl Watchdog {
 impl cosmic_rtic::board::Watchdog for Watchdog {
     #[inline]
     fn feed(&mut self) {
-        // SAFETY: a key of the manual's.
-        self.registers.kr().write(|w| unsafe { w.bits(RELOAD) });
+        self.registers.kr().write(|w| w.key().feed());
     }
 }
 
-// RM0090, IWDG_KR.
-#[cfg(target_arch = "arm")]
-const ACCESS: u16 = 0x5555;
-#[cfg(target_arch = "arm")]
-const RELOAD: u16 = 0xAAAA;
 const FASTEST: u64 = 47_000;
 const SLOWEST: u64 = 17_000;
 const LARGEST_PRESCALER: u8 = 6;

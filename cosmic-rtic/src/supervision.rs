@@ -85,11 +85,7 @@ impl<const TASKS: usize> Progress<TASKS> {
 
     /// Returns whether everybody has made progress since the last call that returned so.
     fn take_complete(&self) -> bool {
-        let complete = self.0.load(Ordering::Relaxed) == Self::ALL;
-        if complete {
-            self.0.store(0, Ordering::Relaxed);
-        }
-        complete
+        self.0.compare_exchange(Self::ALL, 0, Ordering::Relaxed, Ordering::Relaxed).is_ok()
     }
 
     #[inline]

@@ -160,19 +160,22 @@ impl Cluster {
 
     /// Cuts the power of a node at the present instant.
     pub fn power_off(&mut self, node: NodeId) {
-        let at = self.bus.now();
-        let (node, station) = &mut self.nodes[node.0];
-        node.power_off();
-        self.bus.disconnect(at, *station);
-        self.bus.reset(at, *station);
+        self.nodes[node.0].0.power_off();
+        self.cut_off(node);
+    }
+
+    /// Nothing of a node is on the bus any more, nor on its way there.
+    fn cut_off(&mut self, node: NodeId) {
+        let (at, station) = (self.bus.now(), self.nodes[node.0].1);
+        self.bus.disconnect(at, station);
+        self.bus.reset(at, station);
+        self.commands.retain(|(_, owner, _)| *owner != node);
     }
 
     /// Switches a node off and on again at the present instant.
     pub fn restart(&mut self, node: NodeId) {
         self.power_off(node);
-        let at = self.bus.now();
-        self.commands.retain(|(_, owner, _)| *owner != node);
-        self.nodes[node.0].0.restart(at);
+        self.nodes[node.0].0.restart(self.bus.now());
     }
 
     /// What was seen since the last call, in the order of time; of one instant in the order of nodes.
@@ -185,14 +188,12 @@ impl Cluster {
     /// Pulls the reset pin of a node at the present instant: its power stays on. One that is off stays off.
     pub fn reset(&mut self, node: NodeId) {
         let at = self.bus.now();
-        let (it, station) = &mut self.nodes[node.0];
+        let it = &mut self.nodes[node.0].0;
         if it.is_off() {
             return;
         }
         it.note(at, ObservationKind::Reset(ResetCause::Pin));
-        self.bus.disconnect(at, *station);
-        self.bus.reset(at, *station);
-        self.commands.retain(|(_, owner, _)| *owner != node);
+        self.cut_off(node);
         self.nodes[node.0].0.reset(at, ResetCause::Pin);
     }
 

@@ -1,8 +1,6 @@
 //! A node that goes off the bus comes back by itself; one whose receive interrupt is held up says what it lost.
 
-use std::cell::Cell;
 use std::collections::BTreeSet;
-use std::rc::Rc;
 
 use cosmic_bus::{BitPosition, ErrorLevel, EventKind, Fault, Filter, Rule, VirtualInstant};
 use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
@@ -91,14 +89,14 @@ fn a_master_that_is_unplugged_is_missed_by_nobody_for_long() {
 struct Burst {
     id: Id,
     starts_at: Option<VirtualInstant>,
-    left: Rc<Cell<u32>>,
+    left: u32,
 }
 
 impl Burst {
     fn load(&mut self, port: &mut Port<'_>) {
-        if self.left.get() > 0 {
-            self.left.set(self.left.get() - 1);
-            let payload = Payload::new(&self.left.get().to_be_bytes()).unwrap();
+        if self.left > 0 {
+            self.left -= 1;
+            let payload = Payload::new(&self.left.to_be_bytes()).unwrap();
             assert!(port.load(0, Frame::new(self.id, payload).into()));
         }
     }
@@ -121,12 +119,12 @@ impl Station for Burst {
     }
 }
 
-/// The worker holds up its interrupts while the bus is full of frames that it takes: those of the clock.
+/// The worker holds up its interrupts while the bus is full of frames that it takes: interests.
 fn held_up(misdeed: u8) -> Trial {
     let mut trial = Trial::new(&[("master", 0), ("deputy", 0), ("worker", misdeed)]);
-    // A claim of an id that nobody has: every node hears it.
+    // Of a node that nobody knows: every node hears them.
     let id = Id::new(Priority::LEAST, TxNode::new(100).unwrap(), Etag::INTEREST);
-    let burst = Burst { id, starts_at: Some(ms(1_000)), left: Rc::new(Cell::new(8_000)) };
+    let burst = Burst { id, starts_at: Some(ms(1_000)), left: 8_000 };
     trial.cluster.add_station("burst", Box::new(burst));
     trial.run_until(2_500);
     trial

@@ -142,7 +142,7 @@ impl System {
         self.timebase.instant(self.pace.cycle())
     }
 
-    /// The bit rate that the firmware set in CAN1, in bits per second, rounded.
+    /// The bit rate that the firmware set in the controller that is on the bus, in bits per second, rounded.
     pub(crate) fn can_bits_per_second(&self) -> u32 {
         let clocks = self.rcc.clocks();
         clocks.hclk_hertz / clocks.apb1_divider / self.can.wired().bit_timing().periods

@@ -2,13 +2,11 @@
 //! prescalers give the clocks of CPU and timers, an access to a peripheral without clock is found out, and CSR
 //! says by which resets the part came here.
 
+use super::{CAN1, CAN2};
 use crate::observation::ResetCause;
 
 /// The internal oscillator.
 const HSI_HERTZ: u32 = 16_000_000;
-
-const CAN1: u32 = 0x4000_6400;
-const CAN2: u32 = 0x4000_6800;
 
 /// Registers up to DCKCFGR.
 const WORDS: usize = 0x90 / 4;
