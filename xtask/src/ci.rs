@@ -14,7 +14,6 @@ use crate::fuzz;
 use crate::images;
 use crate::linux;
 use crate::panics;
-use crate::plan;
 use crate::python;
 use crate::qemu;
 use crate::run::{self, step};
@@ -100,8 +99,7 @@ fn documentation(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
 
 /// Warnings about code for the target are errors here.
 fn no_warnings(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let cluster = plan::find(plan::example(workspace))?;
-    let mut warnings = images::firmware(workspace, way, &cluster, &[])?.warnings;
+    let mut warnings = images::of_example(workspace, way)?.warnings;
     for package in [images::TRIALS, qemu::PACKAGE] {
         warnings += images::build(way.cargo(workspace, "build"), package, images::PROFILE, &[])?.warnings;
     }

@@ -165,7 +165,8 @@ fn perform(options: &Options, act: Act, cluster: &Path, folder: &Path) -> Result
     if !is_name || !image.is_file() {
         let (app, plan) = (options.app.clone(), cluster.display().to_string());
         let board = options.board.built_as().map_or_else(String::new, |board| format!(" --board {board}"));
-        let build = format!("cargo xtask build{board}");
+        let cluster = options.cluster.as_ref().map(|file| format!(" --cluster {}", file.display()));
+        let build = format!("cargo xtask build{board}{}", cluster.unwrap_or_default());
         return Ok(Err(Trouble::NoImage { app, plan, there: images_in(folder), build }));
     }
     println!("{}, built for {}", image.display(), cluster.display());

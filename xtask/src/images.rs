@@ -37,12 +37,7 @@ impl Built {
 }
 
 /// Builds images of the example's firmware, for its own cluster or another one: all if none is named.
-pub(crate) fn firmware(
-    workspace: &Workspace,
-    way: &TargetWay,
-    cluster: &Path,
-    names: &[String],
-) -> Result<Built> {
+fn firmware(workspace: &Workspace, way: &TargetWay, cluster: &Path, names: &[String]) -> Result<Built> {
     for_board(workspace, way, cluster, None, names)
 }
 
@@ -65,6 +60,11 @@ fn for_board(
     })
 }
 
+/// Builds all images of the example's firmware.
+pub(crate) fn of_example(workspace: &Workspace, way: &TargetWay) -> Result<Built> {
+    firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])
+}
+
 /// Builds the nodes whose size is a goal, with these features.
 pub(crate) fn small(workspace: &Workspace, way: &TargetWay, features: &[&str]) -> Result<Built> {
     step("building the small images", || {
@@ -76,7 +76,7 @@ pub(crate) fn small(workspace: &Workspace, way: &TargetWay, features: &[&str]) -
 
 /// The images whose size is measured: those of the example's firmware, and the small ones but for the hub.
 pub(crate) fn measured(workspace: &Workspace, way: &TargetWay) -> Result<Images> {
-    let mut images = firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])?.images;
+    let mut images = of_example(workspace, way)?.images;
     images.extend(small(workspace, way, &[])?.images.into_iter().filter(|(name, _)| name != "hub"));
     Ok(images)
 }
@@ -84,7 +84,7 @@ pub(crate) fn measured(workspace: &Workspace, way: &TargetWay) -> Result<Images>
 /// The images that are searched for panics: of each it can be told what it says, which in a small one costs flash. The
 /// small ones stand where those without messages do, until these are built again.
 pub(crate) fn searched(workspace: &Workspace, way: &TargetWay) -> Result<Images> {
-    let mut images = firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])?.images;
+    let mut images = of_example(workspace, way)?.images;
     images.extend(small(workspace, way, &["last-words"])?.images);
     Ok(images)
 }

@@ -124,7 +124,7 @@ pub(crate) fn host(workspace: &Workspace) -> Result<Tally> {
 ///
 /// In the profile of the demo, for speed.
 pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let built = images::firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])?;
+    let built = images::of_example(workspace, way)?;
     let directory = built.directory().context("the firmware has no images")?;
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast", "--release"]).args(demo::EMULATED_TESTS);
