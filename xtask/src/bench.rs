@@ -13,6 +13,7 @@ use crate::images;
 use crate::qemu;
 use crate::run::step;
 use crate::setup::{self, Tool};
+use crate::suite;
 use crate::tally::Tally;
 use crate::target::TargetWay;
 use crate::workspace::Workspace;
@@ -23,6 +24,10 @@ pub(crate) struct Options {
     /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
+    /// Instead, measure in the emulated cluster how many cycles the images that are flashed take for a frame, for a release,
+    /// for a cycle of the calendar, and for how much of the time they are awake on a full bus.
+    #[arg(long, conflicts_with = "json")]
+    cycles: bool,
 }
 
 /// A measured value.
@@ -67,6 +72,9 @@ impl Measurement {
 
 /// Measures and shows. The exit code says whether all limits hold.
 pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode> {
+    if options.cycles {
+        return Ok(suite::costs(workspace)?.conclude());
+    }
     let way = setup::prepare(&[Tool::Qemu])?;
     let all = measure(workspace, &way)?;
     if options.json {

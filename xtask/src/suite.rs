@@ -124,13 +124,7 @@ pub(crate) fn host(workspace: &Workspace) -> Result<Tally> {
 ///
 /// In the profile of the demo, for speed.
 pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let built = images::of_example(workspace, way)?;
-    let directory = built.directory().context("the firmware has no images")?;
-    let mut command = workspace.cargo();
-    command.args(["test", "--no-fail-fast", "--release"]).args(demo::EMULATED_TESTS);
-    let small = images::small(workspace, way, &[])?;
-    command.env(IMAGES, directory);
-    command.env(SMALL_IMAGES, small.directory().context("there are no small images")?);
+    let mut command = emulated_tests(workspace, way)?;
     let mut tally = step("testing the firmware in the emulated cluster", || cargo_test(&mut command))?;
     tally.add(trials(workspace, way));
     tally.add(step("testing a new repository, made outside this one", || new_repository(workspace, way)));
@@ -138,6 +132,25 @@ pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> 
         workshop(workspace, way)
     }));
     Ok(tally)
+}
+
+/// What the images cost: one of these tests, with its figures shown.
+pub(crate) fn costs(workspace: &Workspace) -> Result<Tally> {
+    let way = setup::prepare(&setup::COMPARISON)?;
+    let mut command = emulated_tests(workspace, &way)?;
+    command.args(["--test", "cost", "--", "--nocapture", "--test-threads=1"]);
+    step("measuring the images in the emulated cluster", || cargo_test(&mut command))
+}
+
+/// A call of cargo that tests the emulated cluster and the demo, with the images, which it builds.
+fn emulated_tests(workspace: &Workspace, way: &TargetWay) -> Result<process::Command> {
+    let built = images::of_example(workspace, way)?;
+    let small = images::small(workspace, way, &[])?;
+    let mut command = workspace.cargo();
+    command.args(["test", "--no-fail-fast", "--release"]).args(demo::EMULATED_TESTS);
+    command.env(IMAGES, built.directory().context("the firmware has no images")?);
+    command.env(SMALL_IMAGES, small.directory().context("there are no small images")?);
+    Ok(command)
 }
 
 /// The images that misbehave on purpose, in the emulated cluster.
