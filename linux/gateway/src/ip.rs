@@ -1,7 +1,7 @@
 //! A node on IP alone: it publishes and subscribes on the channels of the segments, and is on none of them.
 //!
 //! The calls are those of a [node on a segment](cosmic_linux::Node): announce, publish, subscribe, with the same channels
-//! and types. To the gateways it is a segment of its own, with one node, under the name that it is given.
+//! and types, of events and of messages. To the gateways it is a segment of its own, with one node, under the name that it is given.
 //!
 //! ```no_run
 //! use cosmic_core::Subject;
@@ -29,31 +29,30 @@
 
 mod inlet;
 mod listener;
+mod outlet;
+mod publisher;
 mod queue;
+mod subscriber;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use cosmic_core::can::{Payload, TxNode};
-use cosmic_core::event_layer::{Attributes, Channel, Content, Context, Event, Policy, PublishError};
+use cosmic_core::can::TxNode;
+use cosmic_core::event_layer::{Attributes, Channel, Content, Context, MessageChannel, Policy};
 use cosmic_core::protocol::Class;
 use cosmic_core::time::{Duration, Instant};
 use cosmic_linux::AnnounceError;
-use tokio::sync::Notify;
-use zenoh::Wait as _;
-use zenoh::qos::{CongestionControl, Priority};
-use zenoh::sample::Locality;
 
-use inlet::Inlet;
 pub use listener::{Heard, Listener, Participant};
-use queue::Queue;
+use outlet::Outlet;
+pub use publisher::{MessagePublisher, Publisher};
+use subscriber::Intake;
+pub use subscriber::{MessageSubscriber, Subscriber};
 
 use crate::clock::Reading;
 use crate::config::Ip;
 use crate::counters::{Counters, Direction, Metrics, Outcome};
-use crate::encoding::Envelope;
 use crate::keys::Name;
-use crate::network::{Network, NetworkError, Voice, failed};
+use crate::network::{Network, NetworkError, Voice};
 
 /// A node on IP. Clones are handles of the same node.
 #[derive(Clone)]
@@ -124,27 +123,18 @@ impl Node {
         if matches!(channel.attributes(), Attributes::Hard(_)) {
             return Err(IpError::Announce(AnnounceError::HardRealTime));
         }
-        let network = &self.inner.network;
-        let key = network.keys.event(channel.subject(), &self.inner.name);
-        let soft = matches!(channel.attributes(), Attributes::Soft(_));
-        let publisher = network.session.declare_publisher(key).allowed_destination(Locality::Remote);
-        let publisher = publisher
-            .congestion_control(CongestionControl::Drop)
-            .priority(if soft { Priority::RealTime } else { Priority::Data })
-            .express(soft);
-        let publisher = publisher.await.map_err(|error| failed(&error))?;
-        let wanted = Arc::new((AtomicBool::new(false), Notify::new()));
-        let told = Arc::clone(&wanted);
-        let listener = publisher.matching_listener().callback(move |status| {
-            told.0.store(status.matching(), Ordering::Relaxed);
-            told.1.notify_waiters();
-        });
-        listener.background().await.map_err(|error| failed(&error))?;
-        if publisher.matching_status().await.map_err(|error| failed(&error))?.matching() {
-            wanted.0.store(true, Ordering::Relaxed);
-        }
-        let sequence = AtomicU64::new(0);
-        Ok(Publisher { node: self.clone(), channel: *channel, publisher, wanted, sequence })
+        Ok(Publisher { outlet: Outlet::open(self, channel).await?, channel: *channel })
+    }
+
+    /// Announces a channel of messages, of up to 1024 bytes each.
+    ///
+    /// # Errors
+    /// The network.
+    pub async fn announce_messages<C: Content, const LEN: usize, const PUBLISHERS: usize>(
+        &self,
+        channel: &MessageChannel<C, LEN, PUBLISHERS>,
+    ) -> Result<MessagePublisher<C>, IpError> {
+        Ok(MessagePublisher::new(Outlet::open(self, channel.fragments()).await?, channel.fragments()))
     }
 
     /// Subscribes to a channel, wherever it is published.
@@ -156,21 +146,19 @@ impl Node {
         channel: &Channel<C>,
         policy: Policy,
     ) -> Result<Subscriber<C>, IpError> {
-        let network = &self.inner.network;
-        let queue = Arc::new(Queue::new(policy));
-        let inlet = Inlet {
-            door: network.door(),
-            subject: channel.subject(),
-            queue: Arc::clone(&queue),
-            counters: self.inner.incoming.clone(),
-            attributes: channel.attributes(),
-            layout: channel.layout(),
-        };
-        let key = network.keys.events(channel.subject());
-        let subscriber = network.session.declare_subscriber(key).allowed_origin(Locality::Remote);
-        let subscriber = subscriber.callback(move |sample| inlet.pass(&sample)).await;
-        let subscriber = subscriber.map_err(|error| failed(&error))?;
-        Ok(Subscriber { node: self.clone(), channel: *channel, queue, _subscriber: subscriber })
+        Ok(Subscriber { intake: Intake::open(self, channel, policy).await?, channel: *channel })
+    }
+
+    /// Subscribes to a channel of messages, wherever they are published. They come whole.
+    ///
+    /// # Errors
+    /// The network.
+    pub async fn subscribe_messages<C: Content, const LEN: usize, const PUBLISHERS: usize>(
+        &self,
+        channel: &MessageChannel<C, LEN, PUBLISHERS>,
+        policy: Policy,
+    ) -> Result<MessageSubscriber<C>, IpError> {
+        Ok(MessageSubscriber::new(Intake::open(self, channel.fragments(), policy).await?))
     }
 
     /// Waits until it is connected to somebody.
@@ -233,157 +221,11 @@ impl std::fmt::Display for IpError {
 
 impl std::error::Error for IpError {}
 
-/// The right to publish on a channel. Given up when it is dropped.
-pub struct Publisher<C> {
-    node: Node,
-    channel: Channel<C>,
-    publisher: zenoh::pubsub::Publisher<'static>,
-    wanted: Arc<(AtomicBool, Notify)>,
-    sequence: AtomicU64,
-}
-
-impl<C: Content> Publisher<C> {
-    /// Publishes an event of now. Never waits. If nobody subscribes, it goes nowhere.
-    ///
-    /// # Errors
-    /// [`PublishError`]: the event is not sent.
-    pub fn publish(&self, content: C) -> Result<(), PublishError> {
-        self.publish_event(&Event::new(content))
-    }
-
-    /// Publishes an event with times or context of its own.
-    ///
-    /// # Errors
-    /// [`PublishError`]: the event is not sent.
-    pub fn publish_event(&self, event: &Event<C>) -> Result<(), PublishError> {
-        let now = now();
-        let (deadline, validity, class) = match self.channel.attributes() {
-            Attributes::Soft(soft) => (Some(soft.deadline), Some(soft.validity), Class::Soft),
-            Attributes::NonRealTime(quality) => (None, quality.validity, Class::NonRealTime),
-            Attributes::Hard(_) => return Err(PublishError::HardDeadline),
-        };
-        let left = |at: Option<Instant>, of_channel: Option<Duration>| match at {
-            Some(at) if at <= now => Err(PublishError::Deadline),
-            Some(at) => Ok(Some(at.saturating_since(now))),
-            None => Ok(of_channel),
-        };
-        let (to_deadline, to_expiry) = (left(event.deadline, deadline)?, left(event.expires_at, validity)?);
-        let to_expiry = match (to_deadline, to_expiry, event.expires_at) {
-            (Some(deadline), Some(expiry), Some(_)) if expiry < deadline => {
-                return Err(PublishError::Deadline);
-            }
-            (Some(deadline), Some(expiry), None) => Some(expiry.max(deadline)),
-            (_, expiry, _) => expiry,
-        };
-        // A number is drawn for what is sent, or the others would miss it.
-        let content = self.encode(event)?.as_slice().to_vec();
-        let envelope = Envelope {
-            class,
-            node: None,
-            layout: self.channel.layout(),
-            sender: self.node.inner.network.sender,
-            sequence: self.sequence.fetch_add(1, Ordering::Relaxed),
-            sent_at: Reading::now(),
-            to_deadline,
-            to_expiry,
-            content,
-        };
-        let put = self.publisher.put(envelope.encode()).wait();
-        let outcome = if put.is_ok() { Outcome::Forwarded } else { Outcome::NotSent };
-        self.node.inner.outgoing.count(outcome);
-        put.map_err(|_| PublishError::QueueFull)
-    }
-
-    fn encode(&self, event: &Event<C>) -> Result<Payload, PublishError> {
-        let mut bytes = [0; Payload::MAX_LEN];
-        event.content.encode(&mut bytes[..C::LEN]);
-        let content = Payload::new(&bytes[..event.content.encoded_len()]).ok_or(PublishError::TooLong)?;
-        if self.channel.has_context() {
-            event.context.prepend(&content).map_err(|_| PublishError::TooLong)
-        } else if event.context.presence() != 0 {
-            Err(PublishError::TooLong)
-        } else {
-            Ok(content)
-        }
-    }
-
-    /// Returns whether somebody subscribes.
-    pub fn is_wanted(&self) -> bool {
-        self.wanted.0.load(Ordering::Relaxed)
-    }
-
-    /// Waits until somebody subscribes.
-    pub async fn wanted(&self) {
-        loop {
-            let told = self.wanted.1.notified();
-            if self.is_wanted() {
-                return;
-            }
-            told.await;
-        }
-    }
-
-    /// The node.
-    pub const fn node(&self) -> &Node {
-        &self.node
-    }
-}
-
-/// A subscription to a channel. Given up when it is dropped, with the events that wait for it.
-pub struct Subscriber<C> {
-    node: Node,
-    channel: Channel<C>,
-    queue: Arc<Queue>,
-    _subscriber: zenoh::pubsub::Subscriber<()>,
-}
-
-impl<C: Content> Subscriber<C> {
-    /// Waits for the next event. Cancelling the wait loses none.
-    pub async fn next(&self) -> Received<C> {
-        loop {
-            let told = self.queue.told();
-            if let Some(event) = self.try_next() {
-                return event;
-            }
-            told.await;
-        }
-    }
-
-    /// The next event, if there is one. What has expired while it waited is passed over, and counted.
-    pub fn try_next(&self) -> Option<Received<C>> {
-        loop {
-            let event = self.queue.pop()?;
-            if event.expires_at.is_some_and(|at| at <= now()) {
-                self.node.inner.incoming.count(Outcome::Expired);
-                continue;
-            }
-            match self.decode(&event.content) {
-                Some((context, content)) => return Some(event.map(|_| (context, content))),
-                None => self.node.inner.incoming.count(Outcome::Malformed),
-            }
-        }
-    }
-
-    fn decode(&self, bytes: &[u8]) -> Option<(Context, C)> {
-        if self.channel.has_context() {
-            let (context, content) = Context::split(&Payload::new(bytes)?)?;
-            Some((context, C::decode(content.as_slice())?))
-        } else {
-            Some((Context::EMPTY, C::decode(bytes)?))
-        }
-    }
-
-    /// The node.
-    pub const fn node(&self) -> &Node {
-        &self.node
-    }
-}
-
-impl Received<Vec<u8>> {
-    fn map<C>(self, read: impl FnOnce(&[u8]) -> (Context, C)) -> Received<C> {
-        let Self { class, origin, received_at, deadline, expires_at, .. } = self;
-        let (context, content) = read(&self.content);
-        Received { content, context, class, origin, received_at, deadline, expires_at }
+impl<C> Received<C> {
+    /// The same with what this makes of its content.
+    pub fn map<D>(self, make: impl FnOnce(C) -> D) -> Received<D> {
+        let Self { content, context, class, origin, received_at, deadline, expires_at } = self;
+        Received { content: make(content), context, class, origin, received_at, deadline, expires_at }
     }
 }
 

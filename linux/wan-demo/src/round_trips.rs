@@ -45,7 +45,7 @@ pub enum End {
 
 enum Publisher {
     Segment(cosmic_linux::Publisher<u32>),
-    Ip(ip::Publisher<u32>),
+    Ip(Box<ip::Publisher<u32>>),
 }
 
 enum Subscriber {
@@ -69,7 +69,8 @@ impl End {
                 Publisher::Segment(publisher)
             }
             Self::Ip(node) => {
-                Publisher::Ip(node.announce(channel).await.map_err(|error| Failed(error.to_string()))?)
+                let publisher = node.announce(channel).await.map_err(|error| Failed(error.to_string()))?;
+                Publisher::Ip(Box::new(publisher))
             }
         })
     }

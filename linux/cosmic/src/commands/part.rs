@@ -243,15 +243,7 @@ async fn publish_messages(
     channel: &ByteMessages,
     content: &[u8],
 ) -> Result<[u64; 3], Failure> {
-    if options.deadline.is_some() {
-        return Err(Failure::input("a message is non real-time: leave out --deadline"));
-    }
-    let content = Bytes::new(content).ok_or_else(|| {
-        Failure::input(format!(
-            "the content has {} bytes; a message has up to {LONGEST_MESSAGE}",
-            content.len()
-        ))
-    })?;
+    let content = message_of(content, options)?;
     let node = start(context, &options.identity, None).await?;
     let publisher = node.announce_messages(channel).map_err(|error| Failure::input(error.to_string()))?;
     named(&options.identity, publisher.bound()).await?;
@@ -335,6 +327,17 @@ pub(crate) fn event_of(bytes: &[u8]) -> Result<Payload, Failure> {
             "the content has {} bytes; an event has up to eight, a message more: on a channel of messages (--messages)",
             bytes.len()
         ))
+    })
+}
+
+/// The content of a message.
+pub(crate) fn message_of(bytes: &[u8], options: &Publish) -> Result<Bytes<LONGEST_MESSAGE>, Failure> {
+    if options.deadline.is_some() {
+        return Err(Failure::input("a message is non real-time: leave out --deadline"));
+    }
+    Bytes::new(bytes).ok_or_else(|| {
+        let len = bytes.len();
+        Failure::input(format!("the content has {len} bytes; a message has up to {LONGEST_MESSAGE}"))
     })
 }
 

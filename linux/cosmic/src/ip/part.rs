@@ -4,12 +4,14 @@ use std::process::ExitCode;
 
 use cosmic_core::Subject;
 use cosmic_core::can::Payload;
-use cosmic_core::event_layer::{Channel, Depth, Event, Policy};
+use cosmic_core::event_layer::{Bytes, Depth, Event, Policy, PublishError};
 use cosmic_gateway::counters::{Direction, Outcome};
-use cosmic_gateway::ip::{IpError, Node, Received};
+use cosmic_gateway::ip::{
+    IpError, MessagePublisher, MessageSubscriber, Node, Publisher, Received, Subscriber,
+};
 use cosmic_linux::{AnnounceError, drawn_uid};
-use cosmic_monitor::class_name;
-use cosmic_session::Declared;
+use cosmic_monitor::{class_name, hex_bytes};
+use cosmic_session::{Declared, LONGEST_MESSAGE};
 
 use super::words::{self, Line};
 use super::{CLOCKS, PATIENCE, name, network, unreachable_at};
@@ -37,13 +39,71 @@ async fn start(context: &Context, at: &Endpoint, identity: &Identity) -> Result<
     Ok(node)
 }
 
-/// A node on IP has channels of events only.
-fn events(declared: Declared) -> Result<Channel<Payload>, Failure> {
-    match declared {
-        Declared::Events(channel) => Ok(channel),
-        Declared::Messages(_) => Err(Failure::input(
-            "a node on IP has no channels of messages of several frames: `cosmic echo` shows them across IP, too",
-        )),
+/// What comes on a channel.
+enum Incoming {
+    Events(Subscriber<Payload>),
+    Messages(MessageSubscriber<Bytes<LONGEST_MESSAGE>>),
+}
+
+impl Incoming {
+    async fn of(node: &Node, declared: &Declared) -> Result<Self, Failure> {
+        let policy = Depth::new(QUEUE).map_or(Policy::Latest, Policy::Fifo);
+        let incoming = match declared {
+            Declared::Events(channel) => node.subscribe(channel, policy).await.map(Self::Events),
+            Declared::Messages(channel) => node.subscribe_messages(channel, policy).await.map(Self::Messages),
+        };
+        incoming.map_err(refused)
+    }
+
+    async fn next(&self) -> Received<Vec<u8>> {
+        match self {
+            Self::Events(events) => events.next().await.map(|content| content.as_slice().to_vec()),
+            Self::Messages(messages) => messages.next().await.map(|content| content.as_slice().to_vec()),
+        }
+    }
+}
+
+/// What goes out on a channel.
+enum Outgoing {
+    Event(Publisher<Payload>, Payload),
+    Message(MessagePublisher<Bytes<LONGEST_MESSAGE>>, Box<Bytes<LONGEST_MESSAGE>>),
+}
+
+impl Outgoing {
+    async fn of(
+        node: &Node,
+        declared: &Declared,
+        content: &[u8],
+        options: &Publish,
+    ) -> Result<Self, Failure> {
+        Ok(match declared {
+            Declared::Events(channel) => {
+                let content = part::event_of(content)?;
+                Self::Event(node.announce(channel).await.map_err(refused)?, content)
+            }
+            Declared::Messages(channel) => {
+                let content = Box::new(part::message_of(content, options)?);
+                Self::Message(node.announce_messages(channel).await.map_err(refused)?, content)
+            }
+        })
+    }
+
+    async fn wanted(&self) {
+        match self {
+            Self::Event(publisher, _) => publisher.wanted().await,
+            Self::Message(publisher, _) => publisher.wanted().await,
+        }
+    }
+
+    fn publish(&self, node: &Node, options: &Publish) -> Result<(), PublishError> {
+        match self {
+            Self::Event(publisher, content) => publisher.publish_event(&Event {
+                deadline: options.deadline.map(|deadline| node.now() + deadline),
+                expires_at: options.validity.map(|validity| node.now() + validity),
+                ..Event::new(*content)
+            }),
+            Self::Message(publisher, content) => publisher.publish_within(content, options.validity),
+        }
     }
 }
 
@@ -53,11 +113,9 @@ pub(super) async fn subscribe(
     at: &Endpoint,
     options: &Subscribe,
 ) -> Result<ExitCode, Failure> {
-    let (declared, _) = part::subscribed(context.plan.as_ref(), options)?;
-    let channel = events(declared)?;
+    let (channel, _) = part::subscribed(context.plan.as_ref(), options)?;
     let node = start(context, at, &options.identity).await?;
-    let policy = Depth::new(QUEUE).map_or(Policy::Latest, Policy::Fifo);
-    let subscriber = node.subscribe(&channel, policy).await.map_err(refused)?;
+    let incoming = Incoming::of(&node, &channel).await?;
     let until = end_of(options.span);
     let (mut printed, began) = (0, node.now());
     while options.count.is_none_or(|count| printed < count) {
@@ -65,7 +123,7 @@ pub(super) async fn subscribe(
             biased;
             _ = tokio::signal::ctrl_c() => break,
             () = sleep_until(until) => break,
-            event = subscriber.next() => event,
+            event = incoming.next() => event,
         };
         let at_ns = event.received_at.saturating_since(began).as_ticks();
         line(context, channel.subject(), &event, at_ns).print(context)?;
@@ -79,9 +137,9 @@ pub(super) async fn subscribe(
     Ok(context.ended(printed > 0, "no event has come; `cosmic channels` across IP shows who publishes"))
 }
 
-fn line(context: &Context, subject: Subject, event: &Received<Payload>, at_ns: u64) -> Line {
+fn line(context: &Context, subject: Subject, event: &Received<Vec<u8>>, at_ns: u64) -> Line {
     let plan = context.plan.as_ref();
-    let (fields, malformed) = words::content(plan, subject, event.content.as_slice());
+    let (fields, malformed) = words::content(plan, subject, &event.content);
     Line {
         at_ns,
         class: class_name(event.class),
@@ -92,7 +150,7 @@ fn line(context: &Context, subject: Subject, event: &Received<Payload>, at_ns: u
         number: None,
         missing: 0,
         left_ns: words::left(event.deadline, event.received_at),
-        data: event.content.to_string(),
+        data: hex_bytes(&event.content),
         fields,
         malformed,
     }
@@ -104,13 +162,12 @@ pub(super) async fn publish(
     at: &Endpoint,
     options: &Publish,
 ) -> Result<ExitCode, Failure> {
-    let (declared, planned) = part::published(context.plan.as_ref(), options)?;
-    let channel = events(declared)?;
-    let content = part::event_of(&part::content(context.plan.as_ref().zip(planned), &options.content)?)?;
+    let (channel, planned) = part::published(context.plan.as_ref(), options)?;
+    let content = part::content(context.plan.as_ref().zip(planned), &options.content)?;
     let node = start(context, at, &options.identity).await?;
-    let publisher = node.announce(&channel).await.map_err(refused)?;
+    let outgoing = Outgoing::of(&node, &channel, &content, options).await?;
     let patience = std_span(options.identity.patience);
-    let wanted = tokio::time::timeout(patience, publisher.wanted()).await;
+    let wanted = tokio::time::timeout(patience, outgoing.wanted()).await;
     wanted.map_err(|_| {
         let patience = cosmic_plan::units::show(options.identity.patience);
         Failure::link(format!(
@@ -122,14 +179,11 @@ pub(super) async fn publish(
     let _ = tokio::time::timeout(CLOCKS, node.known()).await;
     let mut published = 0_u64;
     while published < options.count && part::goes_on(published, options).await {
-        let mut event = Event::new(content);
-        event.deadline = options.deadline.map(|deadline| node.now() + deadline);
-        event.expires_at = options.validity.map(|validity| node.now() + validity);
-        publisher.publish_event(&event).map_err(|error| Failure::input(error.to_string()))?;
+        outgoing.publish(&node, options).map_err(|error| Failure::input(error.to_string()))?;
         published += 1;
     }
     let sent = node.count(Direction::Out, Outcome::Forwarded);
-    drop(publisher);
+    drop(outgoing);
     end(node).await;
     if context.output.json() {
         context.output.value(&serde_json::json!({ "published": published, "sent": sent }))?;

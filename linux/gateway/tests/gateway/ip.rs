@@ -5,7 +5,10 @@ use std::time::Duration as Span;
 use crate::bed::{HEAT, HEAT_TABLE, Segment, Setup, fifo, name, port, until};
 use cosmic_core::Subject;
 use cosmic_core::can::{Etag, TxNode};
-use cosmic_core::event_layer::{Attribute, Channel, Context, Event, HardAttributes, Policy, PublishError};
+use cosmic_core::event_layer::{
+    Attribute, Bytes, Channel, Context, Event, HardAttributes, Importance, MessageChannel,
+    NonRealTimeAttributes, Policy, PublishError,
+};
 use cosmic_core::protocol::Class;
 use cosmic_core::time::Duration;
 use cosmic_gateway::config::{Ip, Mode};
@@ -63,6 +66,55 @@ async fn a_node_on_ip_publishes_and_subscribes_as_one_on_a_segment() {
     drop(on_bus);
     until("nobody wants it any more", || !from_ip.is_wanted()).await;
     assert_eq!(node.count(Direction::Out, Outcome::Forwarded), 1);
+}
+
+const LOG: MessageChannel<Bytes<200>, 200, 4> = MessageChannel::new(
+    Subject::new(0xC05A_0000_0000_0003).unwrap(),
+    NonRealTimeAttributes { importance: Importance::LEAST, validity: None },
+);
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn messages_come_whole_to_a_node_on_ip_and_from_it() {
+    let (bus, listen) = (Segment::start().await, port());
+    let more = "etags = { log = 5000, gateways = 5001 }";
+    let channels = crate::messages::TABLE;
+    let gateway = Setup { segment: "plant", bus: &bus, tx_node: 100, listen, connect: &[], more, channels };
+    let gateway = gateway.start().await;
+    let node = Node::start(&at(listen), &name("test"), &name("desk")).await.unwrap();
+    let (log, on_bus) = (LOG.with_etag(Etag::new(5000).unwrap()), bus.node(7));
+    let on_ip = node.subscribe_messages(&LOG, fifo(100)).await.unwrap();
+    let from_bus = on_bus.announce_messages(&log).unwrap();
+    from_bus.bound().await;
+    until("the clocks are known", || node.others().1 == 1 && gateway.others().1 == 1).await;
+    let long = Bytes::new(&[0xA5; 200]).unwrap();
+    let mut message = None;
+    until("a message reaches IP", || {
+        let _ = from_bus.publish(&long);
+        message = on_ip.try_next();
+        message.is_some()
+    })
+    .await;
+    let message = message.unwrap();
+    assert_eq!((message.content, message.class, message.deadline), (long, Class::NonRealTime, None));
+    assert_eq!((message.origin.segment, message.origin.node), (name("plant"), TxNode::new(7)));
+    drop(on_ip);
+    // The other way: one of several frames, and one that fits into a frame.
+    let on_bus = on_bus.subscribe_messages(&log, fifo(100)).unwrap();
+    let from_ip = node.announce_messages(&LOG).await.unwrap();
+    tokio::time::timeout(crate::bed::PATIENCE, from_ip.wanted()).await.unwrap();
+    for content in [[1; 200].as_slice(), b"short"] {
+        let content = Bytes::new(content).unwrap();
+        from_ip.publish(&content).unwrap();
+        let message = tokio::time::timeout(crate::bed::PATIENCE, on_bus.next()).await.unwrap();
+        assert_eq!((message.content, message.publisher), (content, TxNode::new(100).unwrap()));
+    }
+    // One that is of no use any more when it comes.
+    from_ip.publish_within(&long, Some(Duration::from_ticks(1))).unwrap();
+    until("it has expired", || {
+        let of_plant = crate::bed::count(&gateway, "plant", Direction::In, Outcome::Expired);
+        of_plant + gateway.unassigned().get(Outcome::Expired) == 1
+    })
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

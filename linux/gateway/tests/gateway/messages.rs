@@ -12,7 +12,7 @@ use cosmic_gateway::counters::{Direction, Outcome};
 use cosmic_linux::{Publisher, Subscriber, Tap};
 
 const ETAG_EAST: Etag = Etag::new(7000).unwrap();
-const TABLE: &str = r#"
+pub(crate) const TABLE: &str = r#"
 [[channel]]
 name = "log"
 subject = "0xC05A000000000003"
