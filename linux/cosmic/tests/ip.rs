@@ -1,11 +1,15 @@
 //! The commands across IP, at a gateway on loopback.
 #![cfg(feature = "ip")]
 
+#[path = "../../gateway/tests/gateway/authority.rs"]
+mod authority;
 mod common;
 
+use authority::Authority;
 use common::gateway::{Gateway, port, publisher};
 use common::terminal::Terminal;
 use common::{CLUSTER, Running, Segment, run, text, until};
+use cosmic_gateway::config::Tls;
 use serde_json::Value;
 
 /// A segment on which somebody publishes, behind a gateway.
@@ -135,6 +139,55 @@ fn a_node_on_ip_subscribes_and_publishes() {
     });
     let got = text(&subscriber.wait().stdout);
     assert!(got.contains("node 5A") && got.trim_end().ends_with("state=slipped force=1.5 N"), "{got}");
+}
+
+#[test]
+fn by_certificates_who_is_known_hears_and_nobody_else() {
+    let (ours, others) = (Authority::new(), Authority::new());
+    let Tls { authority, certificate, key } = ours.sign("plant");
+    let tables = format!(
+        r#"[ip]
+listen = ["tls/127.0.0.1:@PORT"]
+[ip.tls]
+authority = {authority:?}
+certificate = {certificate:?}
+key = {key:?}
+[[ip.peer]]
+certificate = "desk"
+segments = []"#
+    );
+    let segment = Segment::start();
+    let gateway = Gateway::start(&[("west", &segment)], &tables);
+    let _publisher = publisher(&segment);
+    gateway.says("running: ");
+    let link = gateway.link("tls");
+    let call = |tls: &Tls, patience: &str| {
+        let Tls { authority, certificate, key } = tls;
+        let files = [("--authority", authority), ("--certificate", certificate), ("--key", key)];
+        let files = files.map(|(option, file)| [option, file.to_str().unwrap()]).concat();
+        let what = [
+            "echo",
+            "gripper",
+            "-n",
+            "2",
+            "-c",
+            CLUSTER,
+            "-l",
+            &link,
+            "--network",
+            "test",
+            "--for",
+            patience,
+        ];
+        run(&[&what[..], &files].concat())
+    };
+    let heard = call(&ours.sign("desk"), "50s");
+    assert!(heard.status.success(), "{}", text(&heard.stderr));
+    assert_eq!(text(&heard.stdout).matches("west/05").count(), 2);
+    // Signed by somebody else.
+    let refused = call(&others.sign("desk"), "2s");
+    assert!(!refused.status.success() && refused.stdout.is_empty(), "{}", text(&refused.stderr));
+    assert_eq!(text(&refused.stderr).lines().count(), 1, "{}", text(&refused.stderr));
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The gateway, from outside: in one program, for each that links zenoh takes its time.
 
+mod authority;
 mod bed;
 mod chaos;
 mod config;
