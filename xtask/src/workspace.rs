@@ -1,7 +1,7 @@
 //! Where things are.
 
 use std::env;
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -65,8 +65,18 @@ impl Workspace {
     pub(crate) fn cargo(&self) -> Command {
         let mut command = Command::new(cargo());
         command.current_dir(&self.root);
+        env::vars_os().map(|(name, _)| name).filter(|name| is_of_this_program(name)).for_each(|name| {
+            command.env_remove(name);
+        });
         command
     }
+}
+
+/// Cargo tells a program that it runs of which package it is. Build scripts take that for a change: what depends on them,
+/// zenoh among it, would be built once for who calls cargo and once more for who calls `cargo xtask`.
+fn is_of_this_program(variable: &OsStr) -> bool {
+    let variable = variable.to_string_lossy();
+    variable.starts_with("CARGO_PKG_") || variable.starts_with("CARGO_MANIFEST_")
 }
 
 /// What cargo says of the workspace that a folder belongs to.
@@ -98,6 +108,17 @@ mod tests {
         fs::write(at.join("Cargo.toml"), "[workspace]\nmembers = [\"xtask\"]\n").unwrap();
         fs::write(at.join("xtask/Cargo.toml"), "[package]\nname = \"xtask\"\n").unwrap();
         fs::write(at.join("xtask/src/main.rs"), "fn main() {}\n").unwrap();
+    }
+
+    /// The tests are run by cargo, as the program is: it has told them of which package they are.
+    #[test]
+    fn cargo_is_called_as_by_a_person() {
+        assert!(env::vars_os().any(|(name, _)| name == "CARGO_PKG_NAME"));
+        let command = Workspace::at("/").cargo();
+        let removed =
+            |wanted: &str| command.get_envs().any(|(name, value)| name == wanted && value.is_none());
+        assert!(removed("CARGO_PKG_NAME") && removed("CARGO_MANIFEST_DIR"));
+        assert!(!removed("PATH"));
     }
 
     #[test]
