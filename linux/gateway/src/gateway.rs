@@ -6,6 +6,7 @@
 
 mod hub;
 mod messages;
+mod origins;
 mod outlet;
 mod ways;
 
@@ -26,6 +27,7 @@ use crate::network::{Network, NetworkError};
 use crate::segment::{Segment, keep_leader};
 use crate::table::{self, Table};
 use hub::Hub;
+use origins::Origins;
 use outlet::Outlet;
 
 /// A gateway that runs. It ends when it is dropped, or [in order](Gateway::stop).
@@ -84,6 +86,7 @@ impl Gateway {
         let hub = Arc::new(Hub {
             unassigned: metrics.of_no_segment(),
             channels: config.channels.clone(),
+            origins: Origins::new(config.channels.len()),
             door: network.door(),
             network,
             segments,

@@ -170,11 +170,15 @@ impl Segment {
         self.leadership().leads()
     }
 
-    /// Somebody here wants events of the channel, they may enter, and it is we who forward them.
-    pub(crate) fn wants(&self, channel: usize) -> bool {
+    /// Somebody here wants events of the channel, and they may enter.
+    pub(crate) fn is_interested(&self, channel: usize) -> bool {
         let port = &self.channels[channel];
-        let wanted = port.unasked || port.wanted.load(Ordering::Relaxed);
-        port.enters() && wanted && self.leads()
+        port.enters() && (port.unasked || port.wanted.load(Ordering::Relaxed))
+    }
+
+    /// As that, and it is we who forward them.
+    pub(crate) fn wants(&self, channel: usize) -> bool {
+        self.is_interested(channel) && self.leads()
     }
 
     /// Subscribes to a channel.

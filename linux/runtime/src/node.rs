@@ -195,7 +195,7 @@ impl Node {
 async fn keep_time(shared: Arc<Shared>) {
     loop {
         shared.act(|_, _| ());
-        let at = shared.tokio_instant(shared.look(|core| core.next_wakeup()));
+        let at = shared.poll_next_at();
         tokio::select! {
             () = sleep_until(at) => {}
             () = shared.timer_wake.notified() => {}

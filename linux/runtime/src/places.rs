@@ -55,6 +55,14 @@ impl Places {
         }
     }
 
+    /// Returns whether there is something for the link to do; a withdrawal, only for one that can withdraw.
+    pub(crate) fn any_due(&self) -> bool {
+        let is_due = |place: &Place| {
+            matches!(place, Place::Waiting(_) | Place::Handed { withdraw: true, told: false, .. })
+        };
+        self.0.iter().any(is_due)
+    }
+
     /// What the link is to do next: the most urgent frame that waits, but first a withdrawal, for a link that can.
     pub(crate) fn hand_over(&mut self, link_withdraws: bool) -> Option<Handover> {
         for mailbox in Mailbox::ALL {
@@ -153,11 +161,13 @@ mod tests {
         let _ = places.hand_over(true);
         assert_eq!(places.execute(&withdraw), None);
         assert_eq!(places.hand_over(true), Some(Handover::Withdraw(Mailbox::Soft)));
+        assert!(places.any_due());
         assert_eq!(
             places.hand_over(true),
             Some(Handover::Send(Mailbox::NonRealTime, frame(252))),
             "told once"
         );
+        assert!(!places.any_due());
     }
 
     #[test]

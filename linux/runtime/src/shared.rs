@@ -16,15 +16,15 @@ use tokio::sync::{Notify, broadcast, watch};
 
 use crate::config::{Config, StartError};
 use crate::half::{Broker, Half, Hosting, Services};
-use crate::link::{End, LinkCounters, LinkError};
+use crate::link::{Bell, End, LinkCounters, LinkError};
 use crate::message_queues::Messages;
 use crate::places::{Handover, Places};
 
 pub(crate) struct Shared {
     core: Mutex<Core>,
     /// There is something for the link.
-    pub(crate) link_wake: Notify,
-    /// The core wants to be polled earlier than it said last.
+    bell: Bell,
+    /// The core wants to be polled earlier than its keeper is going to.
     pub(crate) timer_wake: Notify,
     /// Changes whenever frames have left.
     pub(crate) departures: watch::Sender<u64>,
@@ -49,6 +49,8 @@ pub(crate) struct Core {
     /// The hard real-time event of each publisher and channel that was delivered last.
     hard: HashMap<(Etag, TxNode), (Payload, Instant)>,
     next_wakeup: Instant,
+    /// When its keeper polls it.
+    polled_at: Instant,
 }
 
 impl Shared {
@@ -75,10 +77,11 @@ impl Shared {
             calendar: config.calendar,
             hard: HashMap::new(),
             next_wakeup: now,
+            polled_at: now,
         };
         Ok(Self {
             core: Mutex::new(core),
-            link_wake: Notify::new(),
+            bell: Bell::default(),
             timer_wake: Notify::new(),
             departures: watch::Sender::new(0),
             changed: watch::Sender::new(0),
@@ -94,7 +97,7 @@ impl Shared {
     }
 
     /// The instant of tokio's clock; `None` if it will not come.
-    pub(crate) fn tokio_instant(&self, instant: Instant) -> Option<tokio::time::Instant> {
+    fn tokio_instant(&self, instant: Instant) -> Option<tokio::time::Instant> {
         if instant == Instant::FAR_FUTURE {
             return None;
         }
@@ -106,17 +109,32 @@ impl Shared {
     pub(crate) fn act<R>(&self, act: impl FnOnce(&mut Core, Instant) -> R) -> R {
         let mut core = self.lock();
         let now = self.now();
-        let before = core.next_wakeup;
         let result = act(&mut core, now);
         core.attend(now);
         self.tell(&mut core);
-        let earlier = core.next_wakeup < before;
+        let is_due = core.places.any_due();
+        let is_early = core.next_wakeup < core.polled_at;
+        if is_early {
+            core.polled_at = core.next_wakeup;
+        }
         drop(core);
-        self.link_wake.notify_one();
-        if earlier {
+        if is_due {
+            self.bell.ring(self);
+        }
+        if is_early {
             self.timer_wake.notify_one();
         }
         result
+    }
+
+    /// When the core's keeper is to poll it, if it is not woken before. It may be early then: that events come and go
+    /// moves the core's own instant all the time, and to follow each time would take a change of tasks for each event.
+    pub(crate) fn poll_next_at(&self) -> Option<tokio::time::Instant> {
+        let at = self.look(|core| {
+            core.polled_at = core.next_wakeup;
+            core.polled_at
+        });
+        self.tokio_instant(at)
     }
 
     /// Looks at the core only.
@@ -197,8 +215,8 @@ impl End for Shared {
         self.next_handover(link_withdraws)
     }
 
-    fn wake(&self) -> &Notify {
-        &self.link_wake
+    fn bell(&self) -> &Bell {
+        &self.bell
     }
 
     fn conclude(&self, mailbox: Mailbox, outcome: Outcome) {
@@ -216,10 +234,6 @@ impl End for Shared {
 }
 
 impl Core {
-    pub(crate) const fn next_wakeup(&self) -> Instant {
-        self.next_wakeup
-    }
-
     /// A frame has arrived.
     pub(crate) fn receive(&mut self, frame: &Frame, at: Instant) {
         self.counters.received += 1;

@@ -14,7 +14,7 @@ use cosmic_core::time::{self, Instant};
 use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 
-use crate::link::{self, End, Handover, Link, LinkError};
+use crate::link::{self, Bell, End, Handover, Link, LinkError};
 use crate::places::Places;
 
 /// A link without a node. The link ends with it.
@@ -103,7 +103,7 @@ struct Shared {
     /// There is something to be told.
     told: Notify,
     /// There is something for the link.
-    link_wake: Notify,
+    bell: Bell,
     /// A frame has been sent, or will not be.
     concluded: Notify,
     start: tokio::time::Instant,
@@ -149,7 +149,7 @@ impl Tap {
         let shared = Arc::new(Shared {
             state: Mutex::new(state),
             told: Notify::new(),
-            link_wake: Notify::new(),
+            bell: Bell::default(),
             concluded: Notify::new(),
             start: tokio::time::Instant::now(),
         });
@@ -193,10 +193,10 @@ impl Tap {
     /// There is no connection, or it was lost meanwhile.
     pub async fn send(&mut self, frame: Frame) -> Result<(), NotSent> {
         while !self.shared.load(frame)? {
-            self.shared.link_wake.notify_one();
+            self.shared.bell.ring(&*self.shared);
             self.shared.concluded.notified().await;
         }
-        self.shared.link_wake.notify_one();
+        self.shared.bell.ring(&*self.shared);
         loop {
             match self.shared.lock().outcome {
                 Some(Outcome::Sent) => return Ok(()),
@@ -310,8 +310,8 @@ impl End for Shared {
         self.lock().places.hand_over(link_withdraws)
     }
 
-    fn wake(&self) -> &Notify {
-        &self.link_wake
+    fn bell(&self) -> &Bell {
+        &self.bell
     }
 
     fn conclude(&self, mailbox: Mailbox, outcome: Outcome) {

@@ -1,4 +1,4 @@
-//! Links that are tried over TCP and files: what they carry, not how fast.
+//! Links that are tried over sockets and files: what they carry, not how fast.
 
 mod common;
 
@@ -6,14 +6,15 @@ use std::io::Write as _;
 use std::time::Duration;
 
 use common::{HEAT, TEXT, uid};
-use cosmic_core::can::{BitRate, TxNode};
+use cosmic_core::can::{BitRate, Etag, Frame, Mailbox, TxNode};
 use cosmic_core::event_layer::Policy;
 use cosmic_linux::link::candump::Candump;
+use cosmic_linux::link::segment::{Record, SegmentLink, VERSION};
 use cosmic_linux::link::slcan::Slcan;
 use cosmic_linux::link::socketcand::Socketcand;
 use cosmic_linux::{Config, Link, Node};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -129,4 +130,57 @@ async fn a_log_of_another_kind_is_refused() {
     let node = node(Candump::new(log.path()));
     let why = within(node.connected_or_failed()).await.unwrap_err().to_string();
     assert!(why.contains("it is pcapng") && why.contains("cosmic record"), "{why}");
+}
+
+/// A server of a segment, for one client.
+async fn greet_on_segment(listener: &UnixListener) -> UnixStream {
+    let (mut stream, _) = listener.accept().await.unwrap();
+    let hello = Record::Hello { version: VERSION, bits_per_second: 1_000_000 };
+    stream.write_all(&hello.encode()).await.unwrap();
+    stream
+}
+
+/// Who publishes writes to the segment itself. What it has written when the connection breaks is written again to the next
+/// server, and so is what is published meanwhile.
+#[tokio::test]
+async fn a_frame_that_was_under_way_when_a_segment_went_is_sent_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("segment");
+    let listener = UnixListener::bind(&path).unwrap();
+    let node = node(SegmentLink::new(&path));
+    let text = node.announce(&TEXT).unwrap();
+    let mut server = within(greet_on_segment(&listener)).await;
+    within(text.bound()).await;
+    // Of what the node says of itself nothing is answered, so its mailbox stays full.
+    let first = within(loaded(&mut server)).await;
+    text.publish(1).unwrap();
+    drop(server);
+    text.publish(2).unwrap();
+    let mut server = within(greet_on_segment(&listener)).await;
+    let mut next = within(loaded(&mut server)).await;
+    assert_eq!(next, first);
+    assert_eq!(node.link_counters().repeated, 1);
+    let mut contents = Vec::new();
+    loop {
+        let (mailbox, frame) = next;
+        if frame.id.etag() == Etag::new(5001).unwrap() {
+            contents.push(frame.payload.padded()[1]);
+        }
+        if contents.len() == 2 {
+            break;
+        }
+        server.write_all(&Record::Sent { mailbox }.encode()).await.unwrap();
+        next = within(loaded(&mut server)).await;
+    }
+    assert_eq!(contents, [1, 2]);
+}
+
+/// The next frame that is put into a mailbox.
+async fn loaded(server: &mut UnixStream) -> (Mailbox, Frame) {
+    let mut bytes = [0; Record::LEN];
+    server.read_exact(&mut bytes).await.unwrap();
+    match Record::decode(&bytes) {
+        Some(Record::Load { mailbox, frame }) => (mailbox, Frame::try_from(frame).unwrap()),
+        other => panic!("{other:?}"),
+    }
 }

@@ -8,6 +8,7 @@ use tokio::sync::Notify;
 use zenoh::Wait as _;
 use zenoh::sample::Sample;
 
+use super::origins::Origins;
 use super::outlet::Outlet;
 use crate::clock::Reading;
 use crate::config::ChannelConfig;
@@ -28,6 +29,8 @@ pub(super) struct Hub {
     /// What comes from IP and belongs to no segment.
     pub(super) unassigned: Counters,
     pub(super) door: Door,
+    /// Where events come from.
+    pub(super) origins: Origins,
     pub(super) metrics: Metrics,
     pub(super) changed: Arc<Notify>,
     pub(super) has_company: AtomicBool,
@@ -106,6 +109,9 @@ impl Hub {
         let is_own = |name: &Name| self.segments.iter().any(|segment| segment.name == *name);
         let admitted = self.door.admit(sample, config.subject, is_own, &self.unassigned)?;
         let Admitted { segment: origin, envelope, age } = admitted;
+        if self.origins.note(channel, &origin) {
+            self.changed.notify_one();
+        }
         let left = Left { to_deadline: envelope.to_deadline, to_expiry: envelope.to_expiry };
         // An event whose sender states no expiry gets that of the channel, from when it was sent.
         let left = left.at_most(config).after(age).ok_or(Outcome::Expired)?;
@@ -115,11 +121,11 @@ impl Hub {
         if self.give(channel, None, &incoming, &told) { Ok(()) } else { Err(Outcome::Unwanted) }
     }
 
-    /// Gives an event to all segments that want it, but the one it comes from. Returns whether there is one.
+    /// Gives an event to all segments where somebody wants it, but the one it comes from. Returns whether there is one.
     fn give(&self, channel: usize, from: Option<usize>, event: &Incoming<'_>, told: &Crossing<'_>) -> bool {
         let mut any = false;
         for (at, segment) in self.segments.iter().enumerate() {
-            if Some(at) != from && segment.wants(channel) {
+            if Some(at) != from && segment.is_interested(channel) {
                 let outcome = segment.give(channel, &self.channels[channel], event);
                 self.tell(&told.to(&segment.name), outcome);
                 any = true;

@@ -13,19 +13,54 @@ use zenoh::sample::{Locality, Sample};
 
 use super::hub::Hub;
 use super::messages::Assembly;
+use super::origins::Declared;
 use crate::error::StartError;
-use crate::network::{Voice, failed};
+use crate::keys::Name;
+use crate::network::{Network, Voice, failed};
 use crate::segment::Leaving;
 
 /// All that is open. It closes when it is dropped.
 struct Ways {
     hub: Arc<Hub>,
-    /// By segment: while we speak for it.
-    voices: Vec<Option<Voice>>,
+    /// By segment: while we speak for it, and a while longer.
+    voices: Vec<Option<Spoken>>,
     /// By segment and channel: while somebody elsewhere wants it, and a while longer.
     readers: HashMap<(usize, usize), Watched>,
-    /// By channel: while somebody on our segments wants it.
+    /// By channel: while somebody on segments that have a voice wants it.
     from_ip: HashMap<usize, zenoh::pubsub::Subscriber<()>>,
+    /// Keys of what comes from there.
+    declared: Declared,
+}
+
+/// That we speak for a segment.
+struct Spoken {
+    _voice: Voice,
+    since: Instant,
+    /// Since when we do not, any more.
+    silent_since: Option<Instant>,
+    /// It was looked whether another does so, too.
+    is_checked: bool,
+}
+
+impl Spoken {
+    fn new(voice: Voice) -> Self {
+        Self { _voice: voice, since: Instant::now(), silent_since: None, is_checked: false }
+    }
+
+    /// We lead the segment.
+    fn go_on(&mut self, segment: &Name, network: &Network) {
+        self.silent_since = None;
+        // Who led before is not heard any more by then.
+        if self.is_checked || self.since.elapsed() < 2 * HESITATION {
+            return;
+        }
+        self.is_checked = true;
+        if network.peers.speaking_for(segment) > 0 {
+            tracing::warn!(
+                "another gateway speaks for a segment {segment} too: each segment needs a name of its own"
+            );
+        }
+    }
 }
 
 /// A channel that is read on a segment.
@@ -51,7 +86,8 @@ impl Drop for Reader {
 /// zenoh refuses one.
 pub(super) async fn keep(hub: Arc<Hub>) -> Result<(), StartError> {
     let voices = hub.segments.iter().map(|_| None).collect();
-    let mut ways = Ways { hub, voices, readers: HashMap::new(), from_ip: HashMap::new() };
+    let mut ways =
+        Ways { hub, voices, readers: HashMap::new(), from_ip: HashMap::new(), declared: Declared::default() };
     loop {
         ways.look().await?;
         let timer = tokio::time::sleep(LONGEST_DELAY);
@@ -68,32 +104,41 @@ impl Ways {
         for segment in 0..self.hub.segments.len() {
             self.keep_voice(segment).await?;
         }
+        self.declared.keep(&self.hub).await;
         for channel in 0..self.hub.channels.len() {
             let wanting: Vec<bool> = self.hub.segments.iter().map(|segment| segment.wants(channel)).collect();
             let all = wanting.iter().filter(|wants| **wants).count();
             for (segment, wants) in wanting.iter().enumerate() {
                 self.keep_reader(segment, channel, all > usize::from(*wants));
             }
-            self.keep_subscriber(channel, all > 0).await?;
+            self.keep_subscriber(channel, self.listens(channel)).await?;
         }
         Ok(())
     }
 
     async fn keep_voice(&mut self, at: usize) -> Result<(), StartError> {
-        let (segment, voice) = (&self.hub.segments[at], &mut self.voices[at]);
-        if !segment.leads() {
-            *voice = None;
-        } else if voice.is_none() {
-            let network = &self.hub.network;
-            *voice = Some(network.speak_for(&segment.name).await.map_err(StartError::Network)?);
-            if network.peers.speaking_for(&segment.name) > 0 {
-                tracing::warn!(
-                    "another gateway speaks for a segment {} too: each segment needs a name of its own",
-                    segment.name
-                );
+        let (segment, network) = (&self.hub.segments[at], &self.hub.network);
+        let voice = &mut self.voices[at];
+        match voice {
+            Some(spoken) if segment.leads() => spoken.go_on(&segment.name, network),
+            Some(spoken) => {
+                if spoken.silent_since.get_or_insert_with(Instant::now).elapsed() >= HESITATION {
+                    *voice = None;
+                }
             }
+            None if segment.leads() => {
+                let spoken = network.speak_for(&segment.name).await.map_err(StartError::Network)?;
+                *voice = Some(Spoken::new(spoken));
+            }
+            None => {}
         }
         Ok(())
+    }
+
+    /// Somebody on a segment wants the channel, and we speak for it or did so a moment ago.
+    fn listens(&self, channel: usize) -> bool {
+        let mut spoken_for = self.hub.segments.iter().zip(&self.voices).filter(|(_, voice)| voice.is_some());
+        spoken_for.any(|(segment, _)| segment.is_interested(channel))
     }
 
     fn keep_reader(&mut self, segment: usize, channel: usize, elsewhere: bool) {
@@ -169,5 +214,8 @@ async fn read(hub: Arc<Hub>, segment: usize, channel: usize, subscriber: Subscri
 /// So long a channel is read that nobody wants any more: what a cut keeps away is counted, and the way is open again at
 /// once behind it.
 const LINGERING: Span = Span::from_secs(60);
+/// So long a gateway keeps its ways that does not lead any more. On a machine that is busy it may lead again in a moment;
+/// to declare everything anew each time would keep it busy for good, and all others with it.
+const HESITATION: Span = Span::from_secs(5);
 /// Not every change is told of.
 const LONGEST_DELAY: Span = Span::from_secs(1);

@@ -5,6 +5,7 @@
 //! what comes from outside take a bounded number of bytes and never panic; what they do not understand is counted.
 
 mod address;
+mod bell;
 pub mod candump;
 pub mod segment;
 pub mod slcan;
@@ -18,10 +19,10 @@ use std::time::Duration;
 
 use cosmic_bus::WireFrame;
 use cosmic_core::can::{BitRate, ErrorCounters, Frame, Mailbox, Outcome};
-use tokio::sync::Notify;
 
 pub use crate::places::Handover;
 pub use address::{ADDRESSES, AnyLink, LinkAddress};
+pub(crate) use bell::Bell;
 
 /// A way to a segment.
 pub trait Link: Send + 'static {
@@ -98,8 +99,8 @@ pub(crate) trait End: Send + Sync {
     fn bus_off(&self);
     fn errors(&self, errors: ErrorCounters);
     fn hand_over(&self, link_withdraws: bool) -> Option<Handover>;
-    /// Told when there may be something to hand over.
-    fn wake(&self) -> &Notify;
+    /// Rung when there may be something to hand over.
+    fn bell(&self) -> &Bell;
     fn conclude(&self, mailbox: Mailbox, outcome: Outcome);
     fn unsent(&self);
     /// How often it was connected.
@@ -181,8 +182,20 @@ impl Port {
             if let Some(handover) = self.end.hand_over(link_withdraws) {
                 return handover;
             }
-            self.end.wake().notified().await;
+            self.end.bell().rung().await;
         }
+    }
+
+    /// From now on this writes what is due, and at once what is due already; until what is returned is dropped.
+    fn leave(&self, outgoing: Box<dyn bell::Outgoing>) -> bell::Left<'_> {
+        let left = self.end.bell().leave(outgoing);
+        self.ring();
+        left
+    }
+
+    /// There may be something to send, and room for it.
+    fn ring(&self) {
+        self.end.bell().ring(&*self.end);
     }
 
     /// What became of a frame that was handed over. One that was not is ignored.

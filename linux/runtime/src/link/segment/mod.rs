@@ -8,6 +8,7 @@
 //! Records of 24 bytes go both ways; see [`Record`].
 
 mod bus;
+mod outgoing;
 mod record;
 mod server;
 mod socket;
@@ -19,13 +20,14 @@ pub use server::{Options, serve};
 pub use socket::{ServeError, Socket};
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
-use cosmic_bus::WireFrame;
 use cosmic_core::can::{ErrorCounters, Frame, Outcome};
-use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::io::{AsyncReadExt as _, BufReader};
 use tokio::net::UnixStream;
 
-use super::{Handover, Link, LinkError, Port};
+use super::{Link, LinkError, Port};
+use outgoing::{Records, Way};
 
 /// The link to a segment that is served at a socket.
 #[derive(Clone, Debug)]
@@ -46,7 +48,8 @@ impl SegmentLink {
     async fn carry(&self, port: &Port) -> Result<(), LinkError> {
         let connected = UnixStream::connect(&self.path).await;
         let stream = connected.map_err(|error| self.error(format_args!("no server answers: {error}")))?;
-        let (mut from, mut to) = stream.into_split();
+        let (from, to) = stream.into_split();
+        let mut from = BufReader::with_capacity(AT_ONCE * Record::LEN, from);
         let lost = |error| self.error(format_args!("the server is gone: {error}"));
         let mut bytes = [0; Record::LEN];
         from.read_exact(&mut bytes).await.map_err(lost)?;
@@ -58,6 +61,8 @@ impl SegmentLink {
                 ));
             }
         }
+        let way = Way::new(to);
+        let _left = port.leave(Box::new(Records::new(Arc::clone(&way))));
         let read = async {
             loop {
                 from.read_exact(&mut bytes).await.map_err(lost)?;
@@ -67,18 +72,9 @@ impl SegmentLink {
                 }
             }
         };
-        let write = async {
-            loop {
-                let record = match port.next_handover().await {
-                    Handover::Send(mailbox, frame) => Record::Load { mailbox, frame: WireFrame::from(frame) },
-                    Handover::Withdraw(mailbox) => Record::Withdraw { mailbox },
-                };
-                to.write_all(&record.encode()).await.map_err(lost)?;
-            }
-        };
         tokio::select! {
             ended = read => ended,
-            ended = write => ended,
+            why = way.keep_open(port) => Err(self.error(format_args!("the server is gone: {why}"))),
         }
     }
 }
@@ -109,3 +105,6 @@ impl Link for SegmentLink {
         }
     }
 }
+
+/// Records that are read at once, at most.
+const AT_ONCE: usize = 64;
