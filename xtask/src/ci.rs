@@ -24,6 +24,7 @@ use crate::tally::Tally;
 use crate::target::TargetWay;
 use crate::tools;
 use crate::walk;
+use crate::workshop;
 use crate::workspace::Workspace;
 
 /// Carries out all steps, also after one has failed. The last line is `N passed, N failed`: tests of all
@@ -122,13 +123,15 @@ fn sizes(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     Ok(Tally::default())
 }
 
-/// A demo of a few virtual seconds, under load and with errors. It checks itself.
+/// A demo of a few virtual seconds, under load and with errors, and the workshop. They check themselves.
 fn short_demo(workspace: &Workspace) -> Result<Tally> {
     let directory = workspace.target_dir().join("demo-of-ci");
     let mut arguments: Vec<String> = DEMO.map(str::to_owned).into();
     arguments.extend(["--out".to_owned(), directory.display().to_string()]);
     let code = demo::run(workspace, &arguments)?;
-    Ok(Tally::one(code == 0))
+    let mut tally = Tally::one(code == 0);
+    tally.add(workshop::run(workspace).map(|code| Tally::one(code == 0)));
+    Ok(tally)
 }
 
 const DEMO: [&str; 8] = ["--seconds", "2", "--seed", "1", "--load", "95", "--errors", "0.001"];

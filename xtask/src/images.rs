@@ -14,7 +14,7 @@ use crate::plan;
 use crate::run::{self, step};
 use crate::setup;
 use crate::target::TargetWay;
-use crate::workspace::Workspace;
+use crate::workspace::{self, Workspace};
 
 /// The images of one package, by name.
 pub(crate) type Images = BTreeMap<String, PathBuf>;
@@ -100,13 +100,38 @@ pub(crate) fn kept(
 ) -> Result<(PathBuf, Built)> {
     let mut built = for_board(workspace, way, cluster, board, names)?;
     let folder = board::folder(workspace, cluster, board);
-    fs::create_dir_all(&folder).with_context(|| format!("making {}", folder.display()))?;
+    keep(&mut built, &folder)?;
+    Ok((folder, built))
+}
+
+/// Builds the images of the workshop, where it stands in the repository, and keeps a copy of them. Returns where.
+pub(crate) fn of_workshop(workspace: &Workspace, way: &TargetWay) -> Result<PathBuf> {
+    let example = workspace.root().join(WORKSHOP);
+    // It is a workspace of its own, whose dependencies have the versions that are tested here.
+    let (ours, its) = (workspace.root().join(LOCK), example.join(LOCK));
+    fs::copy(&ours, &its).with_context(|| format!("writing {}", its.display()))?;
+    let cluster = plan::find(example.join(plan::OF_A_REPOSITORY))?;
+    let theirs = Workspace::of(&workspace::metadata(&example)?)?.building_in(Some(workspace.target_dir()));
+    let mut built = step("building the images of the workshop", || {
+        let mut command = way.cargo(&theirs, "build");
+        command.env("CARGO_TARGET_DIR", way.target_dir(&theirs));
+        plan::follow(&mut command, &cluster)?;
+        build(command, "workshop", PROFILE, &[])
+    })?;
+    let folder = board::folder(workspace, &cluster, None);
+    keep(&mut built, &folder)?;
+    Ok(folder)
+}
+
+/// Copies images into a folder, and names the copies instead.
+fn keep(built: &mut Built, folder: &Path) -> Result<()> {
+    fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
     for (name, image) in &mut built.images {
         let copy = folder.join(name);
         fs::copy(&image, &copy).with_context(|| format!("writing {}", copy.display()))?;
         *image = copy;
     }
-    Ok((folder, built))
+    Ok(())
 }
 
 /// These ELF files, by their paths; if there are none, those that `build` gives.
@@ -192,6 +217,10 @@ impl CargoLine {
 
 /// The package of images that misbehave on purpose.
 pub(crate) const TRIALS: &str = "trials";
+
+/// The cluster that configures itself.
+pub(crate) const WORKSHOP: &str = "examples/workshop";
+const LOCK: &str = "Cargo.lock";
 
 /// The profile of what is flashed, in the workspace's manifest.
 pub(crate) const PROFILE: &str = "firmware";

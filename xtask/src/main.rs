@@ -33,6 +33,7 @@ mod target;
 mod tools;
 mod venv;
 mod walk;
+mod workshop;
 mod workspace;
 
 use std::process::ExitCode;
@@ -102,7 +103,7 @@ fn perform(task: Task, workspace: &Workspace) -> anyhow::Result<ExitCode> {
             println!("All there. The Cortex-M target comes from {way}.");
         }
         Task::Build(options) => build::task(workspace, &options)?,
-        Task::Demo(options) => return demo::task(workspace, &options),
+        Task::Demo(options) => return workshop::behind_the_demo(workspace, &options),
         Task::Run(options) => return demo::run_elf_files(workspace, &options),
         Task::Experiment(options) => return experiment::task(workspace, &options),
         Task::Test(options) => return suite::task(workspace, &options),

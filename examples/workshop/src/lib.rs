@@ -4,11 +4,12 @@
 use core::marker::PhantomData;
 
 pub use boards::Stm32F405;
-pub use cosmic_core::broker::Broker;
-use cosmic_core::event_layer::Channel;
-pub use cosmic_core::event_layer::{Attribute, Context, Event, Filter};
+pub use cosmic_core::client::AdmissionState;
+pub use cosmic_core::event_layer::{Attribute, Bytes, Context, Event, Filter};
+use cosmic_core::event_layer::{Channel, EventRate, SoftAttributes};
 use cosmic_core::plan::NodePlan;
-use cosmic_core::services::{News, NodeConfig, NodeServices};
+use cosmic_core::services::{AdmittingBroker, News, NodeConfig, NodeServices};
+use cosmic_core::uid::Subject;
 pub use cosmic_rtic::prelude::*;
 use cosmic_rtic::{Log, PlannedHost};
 
@@ -39,15 +40,38 @@ pub const EMERGENCY_STOP: Channel<Stop> = plan::channels::emergency_stop::channe
 /// Soft real-time; the broker gives the etag.
 pub const READING: Channel<Reading> = plan::channels::reading::channel::<Reading>().with_context();
 
+/// Non real-time, in messages of several frames: what the probe has done.
+pub const DIARY: plan::channels::diary::MessageChannel<Bytes<40>> = plan::channels::diary::channel();
+
+/// Soft real-time, and in no plan: whoever publishes it asks for it at run time, by its rate and its deadline.
+pub const VIBRATION: Channel<Reading> = Channel::soft(Subject::new(0xC000_0000_0000_00F1).unwrap(), FAST)
+    .with_rate(EventRate::sporadic(VIBRATION_EVERY));
+/// Between two events of the vibration, at least.
+pub const VIBRATION_EVERY: Duration = Duration::from_millis(20);
+const FAST: SoftAttributes =
+    SoftAttributes { deadline: Duration::from_millis(5), validity: Duration::from_millis(20) };
+
+cosmic_core::capacity! {
+    /// What the plan asks for, and one channel beside it.
+    pub Capacities {
+        slots: 2,
+        channels: 4,
+        subscriptions: 5,
+        events: 32,
+        soft: 8,
+        non_real_time: 8,
+    }
+}
+
 /// What a node of the workshop is made of: all services, and what it hosts.
 pub struct Workshop<B = ()>(PhantomData<B>);
 
-/// One that hosts a broker for so many nodes and subjects.
-pub type Host = Workshop<Broker<16, 16>>;
+/// One that hosts a broker for so many nodes and subjects, and for so many channels that are in no plan.
+pub type Host = Workshop<AdmittingBroker<16, 16, 8>>;
 
 impl<B: PlannedHost + 'static> System for Workshop<B> {
     type Board = Stm32F405;
-    type Capacity = plan::Capacities;
+    type Capacity = Capacities;
     type Services = NodeServices<8, 16, 8, 16, B>;
     type Observer = Log;
 }
@@ -86,13 +110,20 @@ pub async fn tell<B: PlannedHost + 'static>(mut node: impl Mutex<T = Node<Worksh
             News::Configuration(event) => defmt::info!("{}", event),
             News::Broker(event) => defmt::info!("{}", event),
             News::Member(event) => defmt::info!("{}", event),
+            News::Admission(event) => defmt::info!("{}", event),
             _ => {}
         }
     }
 }
 
 /// A probe: measures fifty times, gives its channel up, rests, and announces it again.
-pub async fn measure(location: u16, mut node: impl Mutex<T = Node<Workshop>>) {
+///
+/// `at_rest` is told how many it has measured.
+pub async fn measure<N: Mutex<T = Node<Workshop>>>(
+    location: u16,
+    mut node: N,
+    mut at_rest: impl AsyncFnMut(u16, &mut N),
+) {
     let context = Context::EMPTY.with(Attribute::Location, location.into()).expect("there is room");
     let mut values = 0..;
     loop {
@@ -106,6 +137,7 @@ pub async fn measure(location: u16, mut node: impl Mutex<T = Node<Workshop>>) {
         }
         defmt::info!("rests, and gives its channel up");
         readings.cancel(&mut node);
+        at_rest(values.start, &mut node).await;
         Stm32F405::delay_until(Stm32F405::now() + REST).await;
     }
 }

@@ -118,9 +118,11 @@ const NOTES: &str = "\
 The nodes are the images that are flashed. They start at different instants, and their crystals differ.
 Into DIR go a picture of the bus (bus.svg) and its log (candump.log, for can-utils).
 They are judged by the records of their observers (crate cosmic-records), whatever their contents.
+Without --cluster, --apps, --images and ELF files, the workshop runs behind the vehicle: a cluster that
+configures itself, judged by its bus and its logs. The options are of the vehicle.
 
 Exit code 0: every hard real-time event within its fault hypothesis was delivered at its instant, and
-             every other loss was reported by an exception.
+             every other loss was reported by an exception; and the workshop did what it promises.
           1: not so; it says what.
           2: it could not be run.";
 

@@ -126,10 +126,7 @@ impl Cluster {
     /// # Errors
     /// [`ClusterError`].
     pub fn read(file: &Path) -> Result<Self, ClusterError> {
-        let unreadable = |error| ClusterError::Unreadable { file: file.into(), error };
-        let text = fs::read_to_string(file).map_err(unreadable)?;
-        let source = Source::new(file.display().to_string(), text);
-        let cluster = described::Cluster::read(&source).map_err(ClusterError::Wrong)?;
+        let cluster = description(file)?;
         let no_plan = || ClusterError::NoPlan { file: file.into() };
         let planned = plan(&cluster, &Effort::default()).map_err(|_: NoPlan| no_plan())?;
         let calendar = planned.calendar().map_err(|_| no_plan())?.with_priority_step(cluster.priority_step);
@@ -174,6 +171,17 @@ impl Cluster {
     pub fn etag(&self, number: u16) -> Option<Etag> {
         self.etags.get(usize::from(number)).copied()
     }
+}
+
+/// What stands in a description.
+///
+/// # Errors
+/// [`ClusterError::Unreadable`], [`ClusterError::Wrong`].
+pub fn description(file: &Path) -> Result<described::Cluster, ClusterError> {
+    let unreadable = |error| ClusterError::Unreadable { file: file.into(), error };
+    let text = fs::read_to_string(file).map_err(unreadable)?;
+    let source = Source::new(file.display().to_string(), text);
+    described::Cluster::read(&source).map_err(ClusterError::Wrong)
 }
 
 /// A channel of the description, once for each node that publishes on it.

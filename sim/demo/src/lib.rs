@@ -9,6 +9,7 @@
 //! | [`run`], [`progress`] | the run itself, what it says meanwhile |
 //! | [`hard`], [`order`], [`sync`], [`verdict`], [`violation`] | the judgement: slots, order of deadlines, lost clocks, losses against exceptions |
 //! | [`report`], [`table`], [`picture`], [`perfetto`] | what is shown of it |
+//! | [`workshop`] | the cluster that configures itself, run and judged beside the other |
 //!
 //! The judge trusts no node: windows follow from the calendar and the sync frames on the wire, instants from
 //! the records that the firmware writes into its RTT buffer, in its own local time.
@@ -35,3 +36,4 @@ pub mod sync;
 pub mod table;
 pub mod verdict;
 pub mod violation;
+pub mod workshop;

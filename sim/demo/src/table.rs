@@ -325,7 +325,7 @@ fn degrees(counts: &[u64]) -> String {
 }
 
 /// Writes a text in lines of at most [`WIDTH`]; all but the first are indented.
-fn wrap(f: &mut impl fmt::Write, text: &str) -> fmt::Result {
+pub(crate) fn wrap(f: &mut impl fmt::Write, text: &str) -> fmt::Result {
     let mut column = 0;
     for word in text.split(' ') {
         let len = word.chars().count();

@@ -1,10 +1,10 @@
-//! What README shows of the demo is what the demo prints and draws. Some seconds of virtual time, about one of
-//! the host's.
+//! What README shows of the demo is what the demo prints and draws, and what the workshop prints beside it. Some seconds
+//! of virtual time, about two of the host's.
 //!
 //! `UPDATE_DOCS=1 cargo xtask test emulated` writes both anew.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 use std::{env, fs};
 
 /// The command as README shows it; its output stands behind it.
@@ -37,6 +37,22 @@ fn compiler_of(image: &Path) -> String {
     version.map(|byte| char::from(*byte)).collect()
 }
 
+/// The cluster that configures itself.
+fn workshop() -> Command {
+    let images = env::var_os("COSMIC_WORKSHOP_IMAGES");
+    let mut workshop = Command::new(env!("CARGO_BIN_EXE_workshop"));
+    workshop.arg("--cluster").arg(repository().join("examples/workshop/cluster.toml"));
+    workshop.arg("--images").arg(images.expect("COSMIC_WORKSHOP_IMAGES names no directory of images"));
+    workshop
+}
+
+/// What a program printed that ended well.
+fn passed(output: Output) -> String {
+    let printed = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{printed}{}", String::from_utf8_lossy(&output.stderr));
+    printed
+}
+
 #[test]
 fn readme_shows_what_the_demo_prints_and_draws() {
     let (readme_file, picture_file) =
@@ -62,9 +78,7 @@ fn readme_shows_what_the_demo_prints_and_draws() {
         .arg("--cluster")
         .arg(cluster)
         .args(arguments.split_whitespace());
-    let output = demo.output().unwrap();
-    let printed = String::from_utf8(output.stdout).unwrap();
-    assert!(output.status.success(), "{printed}{}", String::from_utf8_lossy(&output.stderr));
+    let printed = format!("{}\n{}", passed(demo.output().unwrap()), passed(workshop().output().unwrap()));
     let drawn = fs::read_to_string(scratch.join("target/demo/bus.svg")).unwrap();
     fs::remove_dir_all(scratch).unwrap();
     if is_update {

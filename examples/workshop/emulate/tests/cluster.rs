@@ -25,6 +25,8 @@ fn nodes_find_each_other_and_go_on_without_the_desk() {
     // An emergency stop came through its slot.
     assert!(workshop.said("desk", "INFO stops, for a reading of 99", 0) == 1, "{lines:#?}");
     assert!(workshop.said("lamp", "INFO Stop { reading: 99 } by node 1", 0) == 1, "{lines:#?}");
+    // What the probe had written came in several frames.
+    assert!(workshop.said("desk", "INFO node 125 writes: 50 readings", 0) == 1, "{lines:#?}");
 
     // Without the desk, the spare names nodes and channels.
     workshop.switch_off("desk");
@@ -32,6 +34,8 @@ fn nodes_find_each_other_and_go_on_without_the_desk() {
     let lines = &workshop.lines;
     assert_eq!(workshop.said("scout", "INFO Configured", SCOUT_COMES), 1, "{lines:#?}");
     assert!(workshop.said("scout", "INFO rests", SCOUT_COMES) >= 1, "{lines:#?}");
+    // It asked whether it may publish what is in no plan.
+    assert!(workshop.said("scout", "INFO Admitted(C0000000000000F1)", SCOUT_COMES) == 1, "{lines:#?}");
     // What is measured in the yard is not for the lamp.
     assert!(workshop.said("lamp", "INFO Reading", SCOUT_COMES) >= 1, "{lines:#?}");
     let of_yard = lines.iter().filter(|(_, who, what)| *who == "lamp" && what.contains("at Some(42)"));

@@ -15,11 +15,12 @@ mod app {
     fn init(cx: init::Context) -> (Shared, Local) {
         let parts = start(boards::resources!(cx.device), &NODE, cx.local.storage);
         let Parts { calendar, urgent, outcomes, status, other, events, node } = parts;
-        spawn!(calendar(calendar), events(events), exceptions(), news(), watch());
+        spawn!(calendar(calendar), events(events), exceptions(), news(), watch(), read());
         (Shared { node }, Local { urgent, outcomes, status, other })
     }
 
     #[task(shared = [node], priority = 1)] async fn watch(cx: watch::Context) { super::watch(cx.shared.node).await }
+    #[task(shared = [node], priority = 1)] async fn read(cx: read::Context) { super::read(cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn news(cx: news::Context) { tell(cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn exceptions(cx: exceptions::Context) { report_exceptions(cx.shared.node).await }
 
@@ -43,3 +44,14 @@ async fn watch(mut node: impl Mutex<T = Node<Host>>) {
         }
     }
 }
+
+async fn read(mut node: impl Mutex<T = Node<Host>>) {
+    let mut diary = MessageSubscriber::subscribe(&DIARY, TIME_OUT, &mut node).expect(PLANNED);
+    loop {
+        let entry = diary.next(&mut node).await;
+        defmt::info!("node {} writes: {}", entry.publisher.get(), entry.content);
+    }
+}
+
+/// A message is dropped when nothing more comes of it for so long.
+const TIME_OUT: Duration = Duration::from_millis(500);

@@ -32,6 +32,14 @@ mod app {
     #[task(shared = [node], priority = 3)] async fn events(cx: events::Context, mut part: Events) { part.run(cx.shared.node).await }
 }
 
-async fn measure_here(node: impl Mutex<T = Node<Workshop>>) {
-    measure(7, node).await
+async fn measure_here(mut node: impl Mutex<T = Node<Workshop>>) {
+    let mut diary = MessagePublisher::announce(&DIARY, &mut node).expect(PLANNED);
+    let write = async |count: u16, node: &mut _| {
+        let entry = Bytes::text(format_args!("{count} readings since I was switched on"));
+        match diary.publish(&entry.unwrap_or(Bytes::EMPTY), node).await {
+            Ok(()) => defmt::info!("has written into the diary"),
+            Err(error) => defmt::warn!("the diary was not sent: {}", error),
+        }
+    };
+    measure(7, node, write).await
 }

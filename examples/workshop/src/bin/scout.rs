@@ -1,4 +1,4 @@
-//! A probe in the yard, which the lamp does not care for.
+//! A probe in the yard, which the lamp does not care for. It also tells of vibrations, which nobody planned for.
 #![no_std]
 #![no_main]
 
@@ -15,11 +15,12 @@ mod app {
     fn init(cx: init::Context) -> (Shared, Local) {
         let parts = join(boards::resources!(cx.device), &NODE, cx.local.storage);
         let Parts { calendar, urgent, outcomes, status, other, events, node } = parts;
-        spawn!(calendar(calendar), events(events), exceptions(), news(), measure());
+        spawn!(calendar(calendar), events(events), exceptions(), news(), measure(), shake());
         (Shared { node }, Local { urgent, outcomes, status, other })
     }
 
     #[task(shared = [node], priority = 1)] async fn measure(cx: measure::Context) { super::measure_here(cx.shared.node).await }
+    #[task(shared = [node], priority = 1)] async fn shake(cx: shake::Context) { super::shake(cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn news(cx: news::Context) { tell(cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn exceptions(cx: exceptions::Context) { report_exceptions(cx.shared.node).await }
 
@@ -33,5 +34,19 @@ mod app {
 }
 
 async fn measure_here(node: impl Mutex<T = Node<Workshop>>) {
-    measure(42, node).await
+    measure(42, node, async |_, _| {}).await
+}
+
+/// Publishes once the broker's node has found that nobody's deadline is missed for it.
+async fn shake(mut node: impl Mutex<T = Node<Workshop>>) {
+    let vibrations = Publisher::announce(&VIBRATION, &mut node).expect(PLANNED);
+    vibrations.bound(&mut node).await;
+    let mut ticker = Ticker::<Stm32F405>::every(VIBRATION_EVERY);
+    for value in 0.. {
+        ticker.tick().await;
+        let state = node.lock(|node| node.services().admission_of(VIBRATION.subject()));
+        if let Some(AdmissionState::Admitted(_)) = state {
+            let _ = vibrations.publish(Reading { value }, &mut node);
+        }
+    }
 }
