@@ -8,6 +8,8 @@
 
 use cosmic_bus::{Bus, BusOffRecovery, Event, StationId, VirtualInstant, time};
 
+use cosmic_core::time::Duration;
+
 use crate::image::LoadError;
 use crate::node::Node;
 use crate::node_config::NodeConfig;
@@ -46,6 +48,14 @@ pub struct NoSuchFunction {
     pub name: String,
 }
 
+/// Two clusters were not joined: they have different bit rates, or one of the two buses was never free.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
+#[error("the two buses have different bit rates, or were never free at one instant")]
+pub struct NotJoined;
+
+/// Until two buses are free at one instant: no longer, however busy they are.
+const LONGEST_WAIT: Duration = Duration::from_millis(100);
+
 impl Cluster {
     /// A cluster on this bus, without nodes.
     pub fn new(bus: Bus) -> Self {
@@ -77,6 +87,45 @@ impl Cluster {
         self.owners.push(Owner::Station(self.stations.len()));
         self.stations.push((station, id));
         id
+    }
+
+    /// Plugs in the cable to another running cluster: from now on there is one bus, this one, with the nodes and stations
+    /// of both. Both first come to one instant, and on to the next at which no frame is on either bus. Returns the nodes of
+    /// the other as they are called from now on, in the order in which they were added to it.
+    ///
+    /// # Errors
+    /// [`NotJoined`].
+    pub fn join(&mut self, mut other: Self) -> Result<Vec<NodeId>, NotJoined> {
+        let start = self.bus.now().max(other.bus.now());
+        let mut at = start;
+        while at < start + LONGEST_WAIT {
+            self.run_until(at);
+            other.run_until(at);
+            if self.bus.is_free() && other.bus.is_free() {
+                return self.take_over(other);
+            }
+            at += self.bus.bit_rate().bit_time();
+        }
+        Err(NotJoined)
+    }
+
+    fn take_over(&mut self, other: Self) -> Result<Vec<NodeId>, NotJoined> {
+        let (nodes, stations) = (self.nodes.len(), self.stations.len());
+        let theirs = self.bus.join(other.bus).map_err(|_| NotJoined)?;
+        let on_bus = |station: StationId| theirs[station.index()];
+        let moved = |node: NodeId| NodeId(node.0 + nodes);
+        let all = other.nodes.len();
+        self.nodes.extend(other.nodes.into_iter().map(|(node, station)| (node, on_bus(station))));
+        self.stations.extend(other.stations.into_iter().map(|(it, station)| (it, on_bus(station))));
+        self.owners.extend(other.owners.into_iter().map(|owner| match owner {
+            Owner::Node(node) => Owner::Node(node + nodes),
+            Owner::Station(station) => Owner::Station(station + stations),
+        }));
+        self.commands
+            .extend(other.commands.into_iter().map(|(at, node, command)| (at, moved(node), command)));
+        let observations = other.observations.into_iter();
+        self.observations.extend(observations.map(|it| Observation { node: moved(it.node), ..it }));
+        Ok((nodes..nodes + all).map(NodeId).collect())
     }
 
     /// The bus: its trace, accounting, error states.

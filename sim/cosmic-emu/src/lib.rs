@@ -58,7 +58,7 @@ mod soc;
 mod station;
 
 pub use clock::ClockError;
-pub use cluster::{Cluster, NoSuchFunction};
+pub use cluster::{Cluster, NoSuchFunction, NotJoined};
 pub use cpu::{AccessKind, CpuFault};
 pub use image::LoadError;
 pub use log::LogLine;

@@ -63,6 +63,16 @@ impl Trial {
         Self { cluster, nodes, seen: Vec::new(), trace: Vec::new() }
     }
 
+    /// Plugs in the cable to another trial, whose nodes have other names. What has been seen of the other stays seen; what
+    /// has been on its bus does not.
+    pub fn join(&mut self, other: Self) {
+        let ids = self.cluster.join(other.cluster).unwrap_or_else(|error| panic!("{error}"));
+        let before = other.nodes;
+        let renamed = |node: NodeId| ids[node.index()];
+        self.seen.extend(other.seen.into_iter().map(|seen| Observation { node: renamed(seen.node), ..seen }));
+        self.nodes.extend(before.into_iter().map(|(name, id)| (name, renamed(id))));
+    }
+
     /// Lets time pass.
     pub fn run_until(&mut self, milliseconds: u64) {
         self.cluster.run_until(ms(milliseconds));

@@ -6,6 +6,7 @@
 //! ([`Bus::quiet_until`]), which a simulation of many processors uses to run each of them that far on its
 //! own.
 
+mod join;
 mod recovery;
 mod settle;
 mod wire;
