@@ -30,6 +30,14 @@ impl Board {
         }
     }
 
+    /// The device identifier of the chip: RM0090, 38.6.1; RM0390, 33.6.1.
+    pub(crate) const fn device(self) -> u32 {
+        match self {
+            Self::Stm32H405 | Self::FeatherF405 | Self::Stm32f4discovery => 0x413,
+            Self::NucleoF446re => 0x421,
+        }
+    }
+
     /// What the build script of the firmware calls it; `None` for those that run what is built for none in particular: with
     /// a crystal of 8 MHz.
     pub(crate) const fn built_as(self) -> Option<&'static str> {

@@ -47,20 +47,35 @@ pub(crate) enum Act {
 }
 
 impl Act {
-    /// The calls of probe-rs, each as its arguments.
+    /// The calls of probe-rs, each as its arguments; before them [`asks_for_chip`].
     fn calls(self, options: &Options, image: &Path) -> Vec<Vec<String>> {
-        let call = |verb: &str, more: &[String]| {
-            let mut words = vec![verb.to_owned(), "--chip".to_owned(), options.board.chip().to_owned()];
-            words.extend(options.probe.iter().flat_map(|probe| ["--probe".to_owned(), probe.clone()]));
-            words.extend_from_slice(more);
-            words
-        };
         let image = image.display().to_string();
         match self {
-            Self::Flash => vec![call("download", &["--verify".to_owned(), image]), call("reset", &[])],
-            Self::Attach => vec![call("attach", &[image])],
+            Self::Flash => {
+                vec![call(options, "download", &["--verify", &image]), call(options, "reset", &[])]
+            }
+            Self::Attach => vec![call(options, "attach", &[&image])],
         }
     }
+}
+
+/// A call of probe-rs that is about the chip of the board.
+fn call(options: &Options, verb: &str, more: &[&str]) -> Vec<String> {
+    let mut words = vec![verb.to_owned(), "--chip".to_owned(), options.board.chip().to_owned()];
+    words.extend(options.probe.iter().flat_map(|probe| ["--probe".to_owned(), probe.clone()]));
+    words.extend(more.iter().map(|&word| word.to_owned()));
+    words
+}
+
+/// Reads which chip it is (RM0090, `DBGMCU_IDCODE`): probe-rs believes `--chip`, and would write into another one.
+fn asks_for_chip(options: &Options) -> Vec<String> {
+    call(options, "read", &["b32", "0xE0042000", "1"])
+}
+
+/// The device identifier in what that prints: a word of eight hexadecimal digits, behind its address or alone.
+fn device(printed: &str) -> Option<u32> {
+    let word = printed.split_whitespace().rfind(|word| word.len() == 8)?;
+    Some(u32::from_str_radix(word, 16).ok()? & 0xFFF)
 }
 
 /// Why it cannot be done.
@@ -71,6 +86,7 @@ enum Trouble {
     NoProbe,
     SeveralProbes(Vec<String>),
     WrongChip(&'static str),
+    OtherChip { wanted: &'static str, device: u32 },
     Locked,
     Failed(String),
 }
@@ -83,7 +99,7 @@ impl Trouble {
             Self::NoProbeRs => 11,
             Self::NoProbe => 12,
             Self::SeveralProbes(_) => 13,
-            Self::WrongChip(_) => 14,
+            Self::WrongChip(_) | Self::OtherChip { .. } => 14,
             Self::Locked => 15,
             Self::Failed(_) => 16,
         }
@@ -93,9 +109,15 @@ impl Trouble {
     fn of_complaints(complaints: &str, chip: &'static str) -> Self {
         let text = complaints.to_lowercase();
         let says = |words: &[&str]| words.iter().any(|word| text.contains(word));
-        if says(&["no debug probes were found", "no probe was found", "probe was not found"]) {
+        // As the versions from 0.20 on put it, and before.
+        if says(&[
+            "no connected probes were found",
+            "no debug probes were found",
+            "no probe was found",
+            "probe was not found",
+        ]) {
             Self::NoProbe
-        } else if says(&["multiple probes", "more than one probe"]) {
+        } else if says(&["probes were found", "multiple probes", "more than one probe"]) {
             Self::SeveralProbes(Vec::new())
         } else if says(&[
             "locked",
@@ -136,6 +158,12 @@ impl fmt::Display for Trouble {
                 write!(f, "there are several debug probes; name one by --probe: {}", probes.join("; "))
             }
             Self::WrongChip(chip) => write!(f, "the chip on the board is no {chip}; is --board right?"),
+            Self::OtherChip { wanted, device } => {
+                write!(
+                    f,
+                    "the chip on the board is no {wanted} (its device id is {device:#x}); is --board right?"
+                )
+            }
             Self::Locked => f.write_str(
                 "the chip is locked (read-out protection); unlock it first, which erases it, for example by \
                  STM32CubeProgrammer",
@@ -170,15 +198,18 @@ fn perform(options: &Options, act: Act, cluster: &Path, folder: &Path) -> Result
         return Ok(Err(Trouble::NoImage { app, plan, there: images_in(folder), build }));
     }
     println!("{}, built for {}", image.display(), cluster.display());
-    let calls = act.calls(options, &image);
+    let (question, calls) = (asks_for_chip(options), act.calls(options, &image));
     if options.dry_run {
-        calls.iter().for_each(|words| println!("{}", shown(words)));
+        [&question].into_iter().chain(&calls).for_each(|words| println!("{}", shown(words)));
         return Ok(Ok(()));
     }
     let Some(probe_rs) = find_program(PROBE_RS) else { return Ok(Err(Trouble::NoProbeRs)) };
     if options.probe.is_none()
         && let Err(trouble) = one_probe(&probe_rs)?
     {
+        return Ok(Err(trouble));
+    }
+    if let Err(trouble) = right_chip(&probe_rs, &question, options.board)? {
         return Ok(Err(trouble));
     }
     for words in calls {
@@ -189,6 +220,22 @@ fn perform(options: &Options, act: Act, cluster: &Path, folder: &Path) -> Result
         }
     }
     Ok(Ok(()))
+}
+
+/// Whether the chip is that of the board. What cannot be read from the answer is left to the calls that follow.
+fn right_chip(probe_rs: &Path, question: &[String], board: Board) -> Result<Result<(), Trouble>> {
+    println!("{}", shown(question));
+    let output = Command::new(probe_rs).args(question).output();
+    let output = output.with_context(|| format!("`{}` cannot be started", probe_rs.display()))?;
+    let complaints = String::from_utf8_lossy(&output.stderr);
+    eprint!("{complaints}");
+    if !output.status.success() {
+        return Ok(Err(Trouble::of_complaints(&complaints, board.chip())));
+    }
+    Ok(match device(&String::from_utf8_lossy(&output.stdout)) {
+        Some(device) if device != board.device() => Err(Trouble::OtherChip { wanted: board.chip(), device }),
+        _ => Ok(()),
+    })
 }
 
 /// `probe-rs list` ends with success also where there is none: its text says so.
@@ -271,5 +318,13 @@ mod tests {
         );
         assert_eq!(probe("The following debug probes were found:"), None);
         assert_eq!(probe("No debug probes were found."), None);
+    }
+
+    #[test]
+    fn the_device_is_read_from_a_table_and_from_a_list() {
+        assert_eq!(device("e0042000: 10076413\n"), Some(0x413));
+        assert_eq!(device("10006421\n"), Some(0x421));
+        assert_eq!(device(""), None);
+        assert_eq!(device("zzzzzzzz"), None);
     }
 }
