@@ -15,6 +15,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let board = board.to_str().filter(|board| BOARDS.contains(&format!("{board:?}")));
         let board = board.ok_or_else(|| format!("COSMIC_BOARD names no board of {BOARDS}"))?;
         println!("cargo::rustc-cfg=board={board:?}");
+        // By itself `board = "..."` leaves `not(board)` true.
+        println!("cargo::rustc-cfg=board");
     }
     let cluster = env::var_os("COSMIC_CLUSTER").unwrap_or_else(|| EXAMPLE.into());
     // Applications log contents.
