@@ -1,10 +1,14 @@
-//! `memcpy`, `memmove` and `memset` for a Cortex-M3 or M4, for images that are to be small: `use cosmic_mem as _;`.
+//! `memcpy`, `memmove`, `memset` and long division for a Cortex-M3 or M4, for images that are to be small:
+//! `use cosmic_mem as _;`.
 //!
 //! The compiler's own are written for speed over kilobytes, each once for every alignment, and take 3.5 KB of flash. What a
 //! node copies is a frame, an event, a dozen words. These copy a word at a time, also where it is not aligned, which this
 //! processor does by itself unless CCR.UNALIGN_TRP is set. They stand in for the compiler's, whose symbols are weak.
 //! `qemu-tests/src/bin/memory.rs` compares them with loops.
 #![no_std]
+
+#[cfg(all(target_arch = "arm", target_os = "none"))]
+mod division;
 
 // The arguments of `memset` and those of `__aeabi_memset` are in another order (Run-time ABI for the Arm architecture, 4.3.4).
 #[cfg(all(target_arch = "arm", target_os = "none"))]
