@@ -34,6 +34,11 @@ pub(crate) const fn times(span: Duration, factor: u64) -> Duration {
     Duration::from_ticks(span.as_ticks().saturating_mul(factor))
 }
 
+/// `span` doubled so often, less than 64 times, without an overflow.
+pub(crate) fn doubled(span: Duration, times: u8) -> Duration {
+    Duration::from_ticks(span.as_ticks().min(u64::MAX >> times) << times)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -51,5 +56,12 @@ mod tests {
         assert_eq!(equal, 0);
         assert_eq!(one.below(Duration::from_ticks(0)), Duration::from_ticks(0));
         assert!(one.around(limit) >= Duration::from_millis(5));
+    }
+
+    #[test]
+    fn spans_are_doubled_up_to_the_longest() {
+        let doubled = |span, times| doubled(Duration::from_ticks(span), times).as_ticks();
+        assert_eq!((doubled(3, 0), doubled(3, 4)), (3, 48));
+        assert_eq!(doubled(u64::MAX / 2, 8), u64::MAX >> 8 << 8);
     }
 }

@@ -26,7 +26,8 @@ use crate::system::{self, Half, System, Timed as _};
 /// application. An application rather uses [`Publisher`](crate::Publisher) and [`Subscriber`](crate::Subscriber),
 /// which lock it.
 pub struct Node<T: System> {
-    pub(crate) half: Half<T>,
+    /// In the node's [`Storage`](crate::Storage), where it was put together: it is too large to be moved.
+    pub(crate) half: &'static mut Half<T>,
     pub(crate) soft: <T::Board as Board>::Soft,
     pub(crate) non_real_time: <T::Board as Board>::NonRealTime,
     pub(crate) status: <T::Board as Board>::Status,
@@ -68,7 +69,7 @@ impl<T: System> Node<T> {
 
     /// The clock as it is now.
     pub fn clock(&self) -> GlobalClock {
-        system::clock::<T>(&self.half)
+        system::clock::<T>(self.half)
     }
 
     /// How often the time master sends its time; zero in a cluster without clock synchronisation.

@@ -1,5 +1,7 @@
 //! Brings a node up: board and middleware become the parts for each task.
 
+use core::mem::MaybeUninit;
+
 use cosmic_core::Capacity;
 use cosmic_core::can::ErrorCounters;
 use cosmic_core::event_half::HardAccess as _;
@@ -12,20 +14,21 @@ use crate::hard::{Hard, HardCell};
 use crate::inbox::Queues;
 use crate::node::Node;
 use crate::observer::Observer;
-use crate::system::{Buffers, StartError, System, Timed as _};
+use crate::system::{Buffers, Half, StartError, System, Timed as _};
 use crate::tasks::{Calendar, Events, Other, Outcomes, Receiver, Status, Urgent};
 
-/// What the tasks of a node share besides the node itself: the queues between them, and the HRT message buffers.
-/// One for each app, in the `local` resources of its `init`.
+/// Where a node is: the queues between its tasks, the HRT message buffers, and its event-triggered half. One for each
+/// app, in the `local` resources of its `init`.
 pub struct Storage<T: System> {
     queues: Queues,
     hard: HardCell<Buffers<T>>,
+    half: MaybeUninit<Half<T>>,
 }
 
 impl<T: System> Storage<T> {
     /// Nothing has happened yet.
     pub const fn new() -> Self {
-        Self { queues: Queues::new(), hard: HardCell::new() }
+        Self { queues: Queues::new(), hard: HardCell::new(), half: MaybeUninit::uninit() }
     }
 }
 
@@ -89,7 +92,7 @@ pub fn start_with<T: System>(
     observer: T::Observer,
     calendar_observer: <T::Observer as Observer>::Calendar,
 ) -> Parts<T> {
-    let Storage { queues, hard } = storage;
+    let Storage { queues, hard, half } = storage;
     let hard = hard.start(<T::Capacity as Capacity>::BUFFERS);
     // Services whose time never changes do not tell it later.
     Hard::new(hard).with(|buffers| T::Capacity::set_clock(buffers, services.clock()));
@@ -112,7 +115,7 @@ pub fn start_with<T: System>(
         other: Other { receiver: Receiver { fifo: other, hard: Hard::new(hard), frames: ends.frames } },
         events: Events { inbox: ends.inbox },
         node: Node {
-            half: T::Capacity::half(tx_node, plan.calendar, services, Hard::new(hard)),
+            half: half.write(T::Capacity::half(tx_node, plan.calendar, services, Hard::new(hard))),
             soft,
             non_real_time,
             status,

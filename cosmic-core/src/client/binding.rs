@@ -222,6 +222,7 @@ impl<const N: usize> Binding<N> {
     }
 
     /// Takes a received frame.
+    #[inline(never)]
     pub fn on_frame(&mut self, frame: &Frame, now: Instant) {
         match frame.id.etag() {
             Etag::SUPPLY_ETAG => {
@@ -236,6 +237,7 @@ impl<const N: usize> Binding<N> {
     }
 
     /// What is to be done now; call until it returns `None`.
+    #[inline(never)]
     pub fn poll(&mut self, now: Instant) -> Option<Output<BindingEvent>> {
         if self.asked.is_some_and(|asked| now >= asked.until) {
             self.failures = self.failures.saturating_add(1);
@@ -259,6 +261,7 @@ impl<const N: usize> Binding<N> {
         self.due_at().unwrap_or(Instant::FAR_FUTURE)
     }
 
+    #[inline(never)]
     fn due_at(&self) -> Option<Instant> {
         self.tx_node?; // without it nothing can be asked
         let claim = self.probed.then_some(self.claim_at);

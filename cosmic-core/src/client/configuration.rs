@@ -24,7 +24,7 @@
 
 use super::report::{ConfigurationEvent, ConfigurationTiming, OnDuplicate};
 use crate::can::{Etag, Frame, TxNode};
-use crate::jitter::{Jitter, times};
+use crate::jitter::{Jitter, doubled};
 use crate::protocol::{
     ConfigurationRefusal, ConfigurationReply, ConfigurationRequest, NodeIdentity, Output, Prefix, Probe,
     Release, Stage, names_its_sender,
@@ -35,25 +35,18 @@ use crate::uid::NodeUid;
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum State {
-    /// Nothing is asked until then.
-    Idle { until: Instant },
-    /// The request of this stage is out.
-    Asking { stage: Stage, until: Instant, tries: u8 },
+    /// Nothing is asked for a while.
+    Idle,
+    /// The request of this stage is out, so often.
+    Asking { stage: Stage, tries: u8 },
     /// Another UID is being searched.
-    Waiting { until: Instant },
-    /// Whether the id is free.
-    Claiming { tx_node: TxNode, claim_at: Instant, claims: u8, until: Instant },
+    Waiting,
+    /// Whether the id is free: so many claims are still to be sent.
+    Claiming { tx_node: TxNode, claims: u8 },
     /// The id is ours.
-    Configured { tx_node: TxNode, since: Instant },
+    Configured { tx_node: TxNode },
     /// The id was given back.
     Released,
-}
-
-/// Conflicts that count together.
-#[derive(Clone, Copy, Debug)]
-struct Strikes {
-    count: u8,
-    since: Instant,
 }
 
 /// The configuration client of one node; its contract is that of [`crate::client`].
@@ -67,11 +60,18 @@ pub struct Configuration {
     timing: ConfigurationTiming,
     jitter: Jitter,
     state: State,
+    /// Until then nothing is to be done in this state.
+    until: Instant,
+    /// The claim of the id that we claim or have ends then.
+    claimed_until: Instant,
     failures: u8,
-    strikes: Option<Strikes>,
-    identified_at: Option<Instant>,
+    /// Conflicts that the other's identity made, which count together until then.
+    strikes: u8,
+    strikes_until: Instant,
+    /// The next answer is not due before then, so that there are not too many.
+    no_answer_until: Instant,
     /// An answer is due then.
-    answer_at: Option<Instant>,
+    answer_at: Instant,
     // What `poll` hands out: first the request that has become void, then events, then a frame. A newer
     // frame replaces an older one that nobody has fetched: it makes the older one void.
     request: Option<Frame>,
@@ -96,11 +96,14 @@ impl Configuration {
             on_duplicate: OnDuplicate::Yield,
             timing,
             jitter,
-            state: State::Idle { until },
+            state: State::Idle,
+            until,
+            claimed_until: Instant::EPOCH,
             failures: 0,
-            strikes: None,
-            identified_at: None,
-            answer_at: None,
+            strikes: 0,
+            strikes_until: Instant::EPOCH,
+            no_answer_until: Instant::EPOCH,
+            answer_at: Instant::FAR_FUTURE,
             request: None,
             void: None,
             events: Ring::new(),
@@ -136,7 +139,7 @@ impl Configuration {
     /// The id, while it is ours to use.
     pub const fn tx_node(&self) -> Option<TxNode> {
         match self.state {
-            State::Configured { tx_node, .. } => Some(tx_node),
+            State::Configured { tx_node } => Some(tx_node),
             _ => None,
         }
     }
@@ -153,14 +156,15 @@ impl Configuration {
 
     /// Gives the id back to the broker, for good: the node sends nothing behind the frame of this.
     pub fn release(&mut self) {
-        if let State::Configured { tx_node, .. } | State::Claiming { tx_node, .. } = self.state {
+        if let State::Configured { tx_node } | State::Claiming { tx_node, .. } = self.state {
             self.send = Some(Release { tx_node, uid: self.uid }.encode());
         }
         self.withdraw_request();
-        self.state = State::Released;
+        self.enter(State::Released, Instant::FAR_FUTURE);
     }
 
     /// Takes a received frame.
+    #[inline(never)]
     pub fn on_frame(&mut self, frame: &Frame, now: Instant) {
         match frame.id.etag() {
             Etag::CONFIGURATION_REPLY => {
@@ -183,11 +187,12 @@ impl Configuration {
     }
 
     /// What is to be done now; call until it returns `None`.
+    #[inline(never)]
     pub fn poll(&mut self, now: Instant) -> Option<Output<ConfigurationEvent>> {
-        if now >= self.wakes_at().unwrap_or(Instant::FAR_FUTURE) {
+        if now >= self.until {
             self.on_time_out(now);
         }
-        if self.answer_at.is_some_and(|at| now >= at) {
+        if now >= self.answer_at {
             self.identify(now);
         }
         if let Some(frame) = self.void.take() {
@@ -201,47 +206,38 @@ impl Configuration {
 
     /// When `poll` must be called even if no frame arrives.
     pub fn next_wakeup(&self) -> Instant {
-        self.due_at().unwrap_or(Instant::FAR_FUTURE)
+        self.until.min(self.answer_at)
     }
 
-    fn due_at(&self) -> Option<Instant> {
-        [self.wakes_at(), self.answer_at].into_iter().flatten().min()
-    }
-
-    fn wakes_at(&self) -> Option<Instant> {
-        match self.state {
-            State::Idle { until } | State::Waiting { until } | State::Asking { until, .. } => Some(until),
-            State::Claiming { claim_at, claims: 1.., .. } => Some(claim_at),
-            State::Claiming { until, .. } => Some(until),
-            State::Configured { .. } | State::Released => None,
-        }
+    fn enter(&mut self, state: State, until: Instant) {
+        self.state = state;
+        self.until = until;
     }
 
     #[expect(clippy::arithmetic_side_effects, reason = "below the most tries; claims are at least one")]
     fn on_time_out(&mut self, now: Instant) {
         match self.state {
-            State::Idle { .. } => match self.fixed {
-                Some(tx_node) => self.claim(now, tx_node),
-                None => self.ask(now, Stage::FIRST, 1),
-            },
-            State::Waiting { .. } => self.ask(now, Stage::FIRST, 1),
-            State::Asking { stage, tries, .. } if tries < MAX_TRIES => {
+            State::Idle if let Some(tx_node) = self.fixed => self.claim(now, tx_node),
+            State::Idle | State::Waiting => self.ask(now, Stage::FIRST, 1),
+            State::Asking { stage, tries } if tries < MAX_TRIES => {
                 self.withdraw_request();
                 self.ask(now, stage, tries + 1);
             }
             State::Asking { .. } => self.back_off(now),
             // At no fixed time: the claims of two nodes with one UID would be one frame.
-            State::Claiming { tx_node, claim_at, claims: claims @ 1.., until } => {
+            State::Claiming { tx_node, claims: claims @ 1.. } => {
                 self.identify(now);
                 let third = self.third_of_claim();
-                let claim_at =
-                    claim_at + Duration::from_ticks(third.as_ticks() / 2) + self.jitter.below(third);
-                self.state = State::Claiming { tx_node, claim_at, claims: claims - 1, until };
+                let again =
+                    self.until + Duration::from_ticks(third.as_ticks() / 2) + self.jitter.below(third);
+                let until = if claims > 1 { again } else { self.claimed_until };
+                self.enter(State::Claiming { tx_node, claims: claims - 1 }, until);
             }
             State::Claiming { tx_node, .. } => {
                 self.failures = 0;
-                self.strikes = None;
-                self.state = State::Configured { tx_node, since: now };
+                self.forget_strikes();
+                self.claimed_until = now + self.timing.claim;
+                self.enter(State::Configured { tx_node }, Instant::FAR_FUTURE);
                 self.tell(ConfigurationEvent::Configured(tx_node));
             }
             State::Configured { .. } | State::Released => {}
@@ -257,15 +253,12 @@ impl Configuration {
                     self.answer(now);
                 }
             }
-            (
-                State::Configured { tx_node, since },
-                ConfigurationReply::Assigned { uid, tx_node: assigned },
-            ) => {
-                self.on_assigned_to_another(now, tx_node, since, uid, assigned);
+            (State::Configured { tx_node }, ConfigurationReply::Assigned { uid, tx_node: assigned }) => {
+                self.on_assigned_to_another(now, tx_node, uid, assigned);
             }
             (State::Claiming { .. } | State::Configured { .. }, _) => {}
             // A node that pauses takes no part: it failed, or was refused, and gives way to others.
-            (State::Idle { .. }, _) => {}
+            (State::Idle, _) => {}
             _ if self.fixed.is_some() => {}
             // Only the answer to the question for the last nibble: a forged one at another time could make
             // this node take the id of a node that is about to start.
@@ -285,7 +278,7 @@ impl Configuration {
         self.failures = 0;
         let Some(next) = prefix.stage().next().filter(|_| prefix.begins(self.uid)) else {
             self.withdraw_request();
-            self.state = State::Waiting { until: now + self.timing.search };
+            self.enter(State::Waiting, now + self.timing.search);
             return;
         };
         // The same reply twice: the request is out already.
@@ -302,24 +295,17 @@ impl Configuration {
             _ if uid == self.uid => {
                 self.withdraw_request();
                 self.tell(ConfigurationEvent::Refused);
-                self.state = State::Idle { until: now + self.jitter.around(self.timing.longest_back_off) };
+                self.pause(now, self.timing.longest_back_off);
             }
-            State::Idle { .. } => {}
+            State::Idle => {}
             _ => self.begin_again(now),
         }
     }
 
     /// The broker assigns our id to another node, or some id to another node with our UID.
-    fn on_assigned_to_another(
-        &mut self,
-        now: Instant,
-        tx_node: TxNode,
-        since: Instant,
-        uid: NodeUid,
-        assigned: TxNode,
-    ) {
+    fn on_assigned_to_another(&mut self, now: Instant, tx_node: TxNode, uid: NodeUid, assigned: TxNode) {
         // The reply that made us what we are may come twice.
-        let settled = now >= since + self.timing.claim;
+        let settled = now >= self.claimed_until;
         if (uid != self.uid && assigned == tx_node) || (uid == self.uid && settled) {
             self.report_conflict(now, tx_node, Some(uid));
             self.answer(now);
@@ -333,10 +319,10 @@ impl Configuration {
             State::Claiming { .. } if self.on_duplicate != OnDuplicate::Stay => self.give_way(now, other),
             State::Claiming { .. } => {}
             _ if self.yields_to(other) && strikes >= MAX_STRIKES => {
-                self.strikes = None;
+                self.forget_strikes();
                 self.tell(ConfigurationEvent::Lost(tx_node));
                 self.send = None;
-                self.state = State::Idle { until: now + self.jitter.around(self.timing.longest_back_off) };
+                self.pause(now, self.timing.longest_back_off);
             }
             // A node that has heard so many answers knows, and would answer each of them.
             _ if other.is_some() && strikes > MAX_STRIKES => {}
@@ -354,36 +340,37 @@ impl Configuration {
         if other.is_some() {
             self.send = None;
         }
-        self.strikes = None;
+        self.forget_strikes();
         self.failures = self.failures.saturating_add(1);
         let pause = if self.fixed.is_some() || other == Some(self.uid) {
             self.timing.longest_back_off
         } else {
             self.timing.back_off
         };
-        self.state = State::Idle { until: now + self.jitter.around(pause) };
+        self.pause(now, pause);
     }
 
     /// Counts a conflict, and tells of the first in its span. Returns how many the other's identity made.
     fn report_conflict(&mut self, now: Instant, tx_node: TxNode, other: Option<NodeUid>) -> u8 {
-        let mut strikes = match self.strikes {
-            Some(strikes) if now < strikes.since + self.timing.conflict => strikes,
-            _ => {
-                self.tell(ConfigurationEvent::Conflict { tx_node, other });
-                Strikes { count: 0, since: now }
-            }
-        };
-        strikes.count = strikes.count.saturating_add(u8::from(other.is_some()));
-        self.strikes = Some(strikes);
-        strikes.count
+        if now >= self.strikes_until {
+            self.tell(ConfigurationEvent::Conflict { tx_node, other });
+            self.strikes = 0;
+            self.strikes_until = now + self.timing.conflict;
+        }
+        self.strikes = self.strikes.saturating_add(u8::from(other.is_some()));
+        self.strikes
+    }
+
+    fn forget_strikes(&mut self) {
+        self.strikes_until = Instant::EPOCH;
     }
 
     fn ask(&mut self, now: Instant, stage: Stage, tries: u8) {
         let request = ConfigurationRequest::new(self.uid, stage).encode();
         self.request = Some(request);
         self.send = Some(request);
-        let patience = times(self.timing.reply, 1 << self.failures.min(4));
-        self.state = State::Asking { stage, until: now + patience, tries };
+        let patience = doubled(self.timing.reply, self.failures.min(4));
+        self.enter(State::Asking { stage, tries }, now + patience);
     }
 
     fn begin_again(&mut self, now: Instant) {
@@ -393,17 +380,23 @@ impl Configuration {
 
     fn back_off(&mut self, now: Instant) {
         self.withdraw_request();
-        let pause = times(self.timing.back_off, 1 << self.failures.min(8));
+        let pause = doubled(self.timing.back_off, self.failures.min(8));
         let pause = if pause < self.timing.longest_back_off { pause } else { self.timing.longest_back_off };
         self.failures = self.failures.saturating_add(1);
-        self.state = State::Idle { until: now + self.jitter.around(pause) };
+        self.pause(now, pause);
+    }
+
+    /// Asks nothing for about so long.
+    fn pause(&mut self, now: Instant, mean: Duration) {
+        let until = now + self.jitter.around(mean);
+        self.enter(State::Idle, until);
     }
 
     fn claim(&mut self, now: Instant, tx_node: TxNode) {
         self.withdraw_request();
-        let until = now + self.timing.claim;
+        self.claimed_until = now + self.timing.claim;
         let claim_at = now + self.jitter.below(self.third_of_claim());
-        self.state = State::Claiming { tx_node, claim_at, claims: CLAIMS, until };
+        self.enter(State::Claiming { tx_node, claims: CLAIMS }, claim_at);
     }
 
     fn third_of_claim(&self) -> Duration {
@@ -413,7 +406,7 @@ impl Configuration {
     /// The id that we have or claim.
     pub(crate) fn claimed(&self) -> Option<TxNode> {
         match self.state {
-            State::Claiming { tx_node, .. } | State::Configured { tx_node, .. } => Some(tx_node),
+            State::Claiming { tx_node, .. } | State::Configured { tx_node } => Some(tx_node),
             _ => None,
         }
     }
@@ -421,15 +414,14 @@ impl Configuration {
     /// States who has the id; not more often than a claiming node can wait for.
     fn answer(&mut self, now: Instant) {
         if self.claimed().is_some() {
-            let soonest = self.identified_at.map_or(now, |at| now.max(at + self.third_of_claim()));
-            self.answer_at = Some(self.answer_at.map_or(soonest, |at| at.min(soonest)));
+            self.answer_at = self.answer_at.min(now.max(self.no_answer_until));
         }
     }
 
     fn identify(&mut self, now: Instant) {
-        self.answer_at = None;
+        self.answer_at = Instant::FAR_FUTURE;
         if let Some(tx_node) = self.claimed() {
-            self.identified_at = Some(now);
+            self.no_answer_until = now + self.third_of_claim();
             self.send = Some(NodeIdentity { tx_node, uid: self.uid }.encode());
         }
     }
