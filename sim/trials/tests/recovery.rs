@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use cosmic_bus::{BitPosition, ErrorLevel, EventKind, Fault, Filter, Rule, VirtualInstant};
+use cosmic_bus::trace::{TraceEvent, TraceKind};
+use cosmic_bus::{BitPosition, ErrorLevel, EventKind, Fault, FaultModel, Filter, Rule, VirtualInstant};
 use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::protocol::NodeState;
 use cosmic_emu::{Port, Station};
@@ -141,4 +142,66 @@ fn three_frames_wait_in_the_controller_and_a_fourth_is_told_to_be_lost() {
     assert_eq!(trial.resets("worker"), []);
     let beats = trial.frames(1_500).filter(|(_, frame)| frame.id.priority() == Priority::HARD).count();
     assert!((99..=101).contains(&beats), "{beats} beats in the last second");
+}
+
+/// Destroys all frames of a node, or of all, for three seconds, and looks at what is two and a half seconds later.
+fn shorted(frames: Filter) -> Trial {
+    let mut trial = Trial::new(&[("master", 0), ("deputy", 0), ("worker", 0), ("guest", 0)]);
+    trial.run_until(1_000);
+    let fault = Fault::Inverted(BitPosition::FromStart(60));
+    trial.cluster.bus_mut().faults_mut().add_rule(Rule { frames, skip: 0, count: u32::MAX, fault });
+    trial.run_until(SHORT_UNTIL);
+    *trial.cluster.bus_mut().faults_mut() = FaultModel::none();
+    trial.run_until(SHORT_UNTIL + 3_500);
+    assert_eq!(trial.oddities(), Vec::<String>::new());
+    for (name, _) in &trial.nodes {
+        assert_eq!(trial.resets(name), [], "{name}");
+        // It tells of each event that does not come, or does not leave, and of little else.
+        let lines = trial.log(name, 1_000).into_iter().filter(|(at, _)| *at < SHORT_UNTIL);
+        let others: Vec<_> = lines.filter(|(_, line)| !line.contains("subject: Some")).collect();
+        println!("{name}: {} lines besides those of events", others.len());
+        assert!(others.len() <= MOST_BUS_OFFS + 10, "{name}: {others:#?}");
+    }
+    let states: BTreeSet<_> =
+        trial.statuses(SHORT_UNTIL + 2_400).map(|(_, status)| (status.tx_node, status.state as u8)).collect();
+    assert_eq!(states.len(), 4, "{states:?}");
+    assert!(states.iter().all(|(_, state)| *state == NodeState::Operational as u8), "{states:?}");
+    let last = SHORT_UNTIL + 2_500;
+    let beats = trial.frames(last).filter(|(_, frame)| frame.id.priority() == Priority::HARD).count();
+    let counts = trial.frames(last).filter(|(_, frame)| frame.id.etag() == Etag::BOUND_LAST).count();
+    assert!((99..=101).contains(&beats) && (98..=102).contains(&counts), "{beats}, {counts}");
+    trial
+}
+
+const SHORT_UNTIL: u64 = 4_000;
+/// In three seconds: a recovery takes 128 times 11 bits, and 32 attempts up to bit 60 are before the next.
+const MOST_BUS_OFFS: usize = 3_000_000 / (128 * 11 + TO_BUS_OFF as usize * 60);
+
+/// Attempts that failed while the bus was shorted, each with its error frame.
+fn attempts(trial: &Trial) -> usize {
+    let failed = |event: &&TraceEvent| {
+        matches!(event.kind, TraceKind::Error(_)) && (ms(1_000)..ms(SHORT_UNTIL)).contains(&event.at)
+    };
+    trial.trace.iter().filter(failed).count()
+}
+
+#[test]
+fn a_node_whose_line_is_shorted_for_long_leaves_the_bus_to_the_others_and_comes_back() {
+    let own = ExtendedId::new(126 << 14).unwrap();
+    let trial = shorted(Filter::new(own.into(), false, 0x7F << 14));
+    let attempts = attempts(&trial);
+    println!("{attempts} attempts in three seconds");
+    assert!(attempts <= TO_BUS_OFF as usize * MOST_BUS_OFFS, "{attempts}");
+    // Meanwhile each slot was used.
+    let meanwhile =
+        trial.frames(1_000).filter(|(at, frame)| *at < SHORT_UNTIL && frame.id.priority() == Priority::HARD);
+    let beats = meanwhile.count();
+    assert!((298..=302).contains(&beats), "{beats} beats while the guest was shorted");
+}
+
+#[test]
+fn a_bus_that_is_shorted_for_long_is_taken_up_again_by_all() {
+    let trial = shorted(Filter::ANY);
+    let meanwhile = trial.frames(1_001).filter(|(at, _)| *at < SHORT_UNTIL).count();
+    assert_eq!(meanwhile, 0, "nothing comes through");
 }
