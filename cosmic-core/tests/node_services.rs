@@ -1,15 +1,17 @@
 //! A whole node with all services and a broker, frame by frame: what crosses from the event half into the
 //! services, and what does not.
 
+use cosmic_core::admission::{AdmissionPlan, Reservations, Unplanned};
 use cosmic_core::broker::{Broker, BrokerEvent, BrokerRole, BrokerTiming, Nodes, Subjects};
 use cosmic_core::calendar::{Calendar, Segment, Slot};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Outcome, Payload, TxNode};
 use cosmic_core::client::OnDuplicate;
 use cosmic_core::event_layer::{
-    Channel, Event, Exception, ExceptionKind, Filter, HardAttributes, Policy, PublishError, SoftAttributes,
+    AnnounceError, Channel, Event, EventRate, Exception, ExceptionKind, Filter, HardAttributes, Policy,
+    PublishError, SoftAttributes,
 };
 use cosmic_core::network::hard::{CalendarStep, Dispatcher, HrtBuffers};
-use cosmic_core::services::{NodeConfig, NodeServices, Services};
+use cosmic_core::services::{NodeConfig, NodeServices, PlannedServices, Services};
 use cosmic_core::time::{Duration, GlobalClock, Instant};
 use cosmic_core::{Due, EventHalf, Input, NodeUid, Step, Subject};
 
@@ -274,4 +276,19 @@ fn a_node_that_gets_another_id_does_not_go_on_in_the_slots_of_the_old_one() {
     let lost =
         |told: &Exception| told.kind == ExceptionKind::IdentifierLost && told.subject == Some(HARD.subject());
     assert_eq!(told.into_iter().filter(lost).count(), 1);
+}
+
+static ASKING: AdmissionPlan = AdmissionPlan {
+    unplanned: Unplanned::Ask,
+    planned: &[],
+    reservations: Reservations::nothing(BitRate::MAX, Duration::from_micros(160), Duration::from_micros(5)),
+};
+
+#[test]
+fn services_that_ask_for_no_channel_refuse_one_that_has_to_be_asked_for() {
+    let config = NodeConfig { admission: Some(&ASKING), ..config() };
+    let channel = SOFT.with_rate(EventRate::periodic(Duration::from_millis(10)));
+    let planned = PlannedServices::<4, 8, 4, 8>::new(&config, &CALENDAR, (), at(0)).unwrap();
+    assert_eq!(Node::new(planned).half.announce(&channel).err(), Some(AnnounceError::NotAskable));
+    assert!(plain(&config).half.announce(&channel).is_ok());
 }

@@ -10,7 +10,7 @@ use cosmic_core::event_layer::{
 use cosmic_core::network::hard::HrtBuffers;
 use cosmic_core::protocol::*;
 use cosmic_core::seal::{Contradiction, Seal, SealedChannel, SealedNode};
-use cosmic_core::services::{ClockService, NodeConfig, NodeServices, Services};
+use cosmic_core::services::{ClockService, NodeConfig, NodeServices, PlannedServices, Services};
 use cosmic_core::sync::SyncConfig;
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
 use cosmic_core::{EventHalf, Input, NodeUid, Step, Subject};
@@ -437,4 +437,12 @@ fn an_image_of_another_plan_keeps_silent_and_says_so() {
     let sent: usize = (0..3_000).map(|now| node.poll(at(now)).len()).sum();
     assert_eq!(sent, 0);
     assert_eq!(node.told(), [(None, ExceptionKind::UnplannedNode)]);
+}
+
+#[test]
+fn a_node_that_cannot_keep_to_the_seal_is_silent() {
+    let services = PlannedServices::<4, 8, 4, 8>::new(&config(Some(&SEAL)), &CALENDAR, (), at(0)).unwrap();
+    let mut node = Bench::new(services);
+    let sent: usize = (0..3_000).map(|now| node.poll(at(now)).len()).sum();
+    assert_eq!(sent, 0);
 }

@@ -91,9 +91,14 @@ impl<
     const PEERS: usize,
     const INTERESTS: usize,
     B: PlannedHost,
-> Timed for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
+    const ADMISSIONS: usize,
+    const SEALABLE: bool,
+> Timed for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE>
 {
     fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
+        if node.seal.is_some() && !SEALABLE {
+            return Err(StartError::Services);
+        }
         let config = NodeConfig::planned(node).ok_or(StartError::NoSync)?;
         Self::new(&config, node.calendar, B::planned(node), now).map_err(StartError::Sync)
     }

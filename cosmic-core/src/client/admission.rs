@@ -72,7 +72,7 @@ struct Entry {
     untold: Option<AdmissionEvent>,
 }
 
-/// The admission client of one node, for up to `N` channels; its contract is that of [`crate::client`], and why it is
+/// The admission client of one node, for up to `N` channels, of which there may be none; its contract is that of [`crate::client`], and why it is
 /// safe stands at [`AdmissionTiming`].
 ///
 /// Every call takes O(`N`).
@@ -135,6 +135,9 @@ impl<const N: usize> AdmissionClient<N> {
     /// # Errors
     /// [`CannotAsk`]; nothing has changed then.
     pub fn announce(&mut self, now: Instant, subject: Subject, offer: &Offer) -> Result<(), CannotAsk> {
+        if N == 0 {
+            return Err(CannotAsk::Full);
+        }
         let terms = Terms::of(offer)?;
         let known = self.position(subject);
         let vacant = || self.entries.iter().position(Option::is_none);
@@ -191,6 +194,9 @@ impl<const N: usize> AdmissionClient<N> {
 
     /// Takes a received frame.
     pub fn on_frame(&mut self, frame: &Frame, now: Instant) {
+        if N == 0 {
+            return;
+        }
         match frame.id.etag() {
             Etag::ADMISSION_REPLY => {
                 if let Some(reply) = AdmissionReply::decode(frame) {
@@ -225,6 +231,9 @@ impl<const N: usize> AdmissionClient<N> {
 
     /// What is to be done now; call until it returns `None`.
     pub fn poll(&mut self, now: Instant) -> Option<Output<AdmissionEvent>> {
+        if N == 0 {
+            return None;
+        }
         if let Some((at, _)) = self.out.take_if(|(_, until)| now >= *until) {
             self.failures = self.failures.saturating_add(1);
             if let Some(Some(entry)) = self.entries.get_mut(at) {
@@ -244,6 +253,9 @@ impl<const N: usize> AdmissionClient<N> {
 
     /// When `poll` must be called even if no frame arrives.
     pub fn next_wakeup(&self) -> Instant {
+        if N == 0 {
+            return Instant::FAR_FUTURE;
+        }
         let entries = || self.entries.iter().flatten();
         if entries().any(|entry| entry.untold.is_some()) {
             return Instant::EPOCH;
@@ -322,7 +334,7 @@ impl<const N: usize> AdmissionClient<N> {
         }
     }
 
-    #[expect(clippy::arithmetic_side_effects, reason = "positions below `N`, which is not zero")]
+    #[expect(clippy::arithmetic_side_effects, reason = "positions below `N`, which is not zero here")]
     fn ask_next(&mut self, now: Instant, tx_node: TxNode) -> Option<Frame> {
         let due = |at: &usize| {
             let entry = self.entries.get(*at).and_then(Option::as_ref);

@@ -7,7 +7,7 @@
 //! fixed is not given up, whoever says what; the node is told.
 
 use crate::can::{Etag, Frame, TxNode};
-use crate::jitter::{Jitter, times};
+use crate::jitter::{Jitter, doubled};
 use crate::protocol::{Answer, GetEtag, Halves, Output, Probe, Supply, SupplyEtag};
 use crate::time::{Duration, Instant};
 use crate::uid::Subject;
@@ -85,19 +85,17 @@ pub struct BindingFull;
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum State {
     Wanted,
-    Refused {
-        until: Instant,
-    },
+    Refused,
     Bound(Etag),
-    /// By the application. Contradictions are not told before then.
-    Fixed(Etag, Instant),
+    /// By the application.
+    Fixed(Etag),
 }
 
 impl State {
     const fn etag(self) -> Option<Etag> {
         match self {
-            Self::Bound(etag) | Self::Fixed(etag, _) => Some(etag),
-            Self::Wanted | Self::Refused { .. } => None,
+            Self::Bound(etag) | Self::Fixed(etag) => Some(etag),
+            Self::Wanted | Self::Refused => None,
         }
     }
 }
@@ -106,8 +104,19 @@ impl State {
 struct Entry {
     subject: Subject,
     state: State,
-    /// What the node has not been told yet.
-    untold: Option<BindingEvent>,
+    /// After a refusal it is not asked for again before then; that a fixed etag is contradicted is not told again.
+    quiet_until: Instant,
+    untold: Option<Untold>,
+}
+
+/// What the node has not been told yet. The etag that it has is in its state.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Untold {
+    Bound,
+    Rebound { old: Etag },
+    Withdrawn { old: Etag },
+    Refused,
+    Contradicted,
 }
 
 /// The request that is out.
@@ -180,8 +189,8 @@ impl<const N: usize> Binding<N> {
     /// When `N` other subjects are in use.
     pub fn bind(&mut self, subject: Subject) -> Result<(), BindingFull> {
         let entry = self.entry(subject)?;
-        if let Some(etag) = entry.state.etag() {
-            entry.untold = Some(BindingEvent::Bound { subject, etag });
+        if entry.state.etag().is_some() {
+            entry.untold = Some(Untold::Bound);
         }
         Ok(())
     }
@@ -200,7 +209,8 @@ impl<const N: usize> Binding<N> {
     /// # Errors
     /// When `N` other subjects are in use.
     pub fn fix(&mut self, subject: Subject, etag: Etag) -> Result<(), BindingFull> {
-        self.entry(subject)?.state = State::Fixed(etag, Instant::EPOCH);
+        let entry = self.entry(subject)?;
+        (entry.state, entry.quiet_until) = (State::Fixed(etag), Instant::EPOCH);
         Ok(())
     }
 
@@ -222,6 +232,7 @@ impl<const N: usize> Binding<N> {
     }
 
     /// Takes a received frame.
+    // Out of line, as `poll` is, a field is reached by its distance from here: instructions of two bytes, not four.
     #[inline(never)]
     pub fn on_frame(&mut self, frame: &Frame, now: Instant) {
         match frame.id.etag() {
@@ -258,36 +269,35 @@ impl<const N: usize> Binding<N> {
 
     /// When `poll` must be called even if no frame arrives.
     pub fn next_wakeup(&self) -> Instant {
-        self.due_at().unwrap_or(Instant::FAR_FUTURE)
-    }
-
-    #[inline(never)]
-    fn due_at(&self) -> Option<Instant> {
-        self.tx_node?; // without it nothing can be asked
-        let claim = self.probed.then_some(self.claim_at);
-        if let Some(asked) = self.asked {
-            return claim.into_iter().chain([asked.until]).min();
+        if self.tx_node.is_none() {
+            return Instant::FAR_FUTURE; // nothing can be asked
         }
-        let retry = |entry: &Entry| match entry.state {
-            State::Refused { until } => Some(until),
-            State::Wanted | State::Bound(_) | State::Fixed(..) => None,
-        };
-        self.entries.iter().flatten().filter_map(retry).chain(claim).min()
+        let claim = if self.probed { self.claim_at } else { Instant::FAR_FUTURE };
+        if let Some(asked) = &self.asked {
+            return claim.min(asked.until);
+        }
+        let refused = self.entries.iter().flatten().filter(|entry| entry.state == State::Refused);
+        refused.map(|entry| entry.quiet_until).fold(claim, Instant::min)
     }
 
     /// An etag is withdrawn from its old subject before the new one is told of it.
     fn next_event(&mut self) -> Option<BindingEvent> {
-        let withdrawn = |entry: &Entry| matches!(entry.untold, Some(BindingEvent::Withdrawn { .. }));
-        let first = self.entries.iter().position(|place| place.as_ref().is_some_and(withdrawn));
-        let first = first.and_then(|at| self.entries.get_mut(at)?.as_mut()?.untold.take());
-        first.or_else(|| self.entries.iter_mut().flatten().find_map(|entry| entry.untold.take()))
+        let withdrawn = |entry: &Entry| matches!(entry.untold, Some(Untold::Withdrawn { .. }));
+        let any = self.entries.iter().flatten().any(withdrawn);
+        let is_next = |entry: &&mut Entry| if any { withdrawn(entry) } else { entry.untold.is_some() };
+        self.entries.iter_mut().flatten().find(is_next)?.tell()
     }
 
     fn entry(&mut self, subject: Subject) -> Result<&mut Entry, BindingFull> {
         let known = self.entries.iter().position(|place| place.is_some_and(|entry| entry.subject == subject));
         let at = known.or_else(|| self.entries.iter().position(Option::is_none)).ok_or(BindingFull)?;
         let place = self.entries.get_mut(at).ok_or(BindingFull)?;
-        Ok(place.get_or_insert(Entry { subject, state: State::Wanted, untold: None }))
+        Ok(place.get_or_insert(Entry {
+            subject,
+            state: State::Wanted,
+            quiet_until: Instant::EPOCH,
+            untold: None,
+        }))
     }
 
     fn on_supply(&mut self, now: Instant, supply: Supply) {
@@ -320,22 +330,23 @@ impl<const N: usize> Binding<N> {
 
     #[expect(clippy::arithmetic_side_effects, reason = "positions below `N`, which is not zero")]
     fn ask_next(&mut self, now: Instant, tx_node: TxNode) {
-        let turn = (0..N).map(|step| (self.turn + step) % N).find(|at| {
-            match self.entries.get(*at).copied().flatten().map(|entry| entry.state) {
-                Some(State::Wanted) => true,
-                Some(State::Refused { until }) => now >= until,
-                Some(State::Bound(_) | State::Fixed(..)) | None => false,
-            }
-        });
-        let Some(entry) = turn.and_then(|at| self.entries.get(at).copied().flatten()) else {
-            return;
+        let is_due = |at: &usize| {
+            let entry = self.entries.get(*at).and_then(Option::as_ref);
+            entry.is_some_and(|entry| match entry.state {
+                State::Wanted => true,
+                State::Refused => now >= entry.quiet_until,
+                State::Bound(_) | State::Fixed(_) => false,
+            })
         };
-        self.turn = turn.map_or(0, |at| at + 1) % N;
-        let frame = GetEtag { requester: tx_node, subject: entry.subject }.encode();
+        let Some(at) = (0..N).map(|step| (self.turn + step) % N).find(is_due) else { return };
+        let Some(Some(entry)) = self.entries.get(at) else { return };
+        let subject = entry.subject;
+        self.turn = (at + 1) % N;
+        let frame = GetEtag { requester: tx_node, subject }.encode();
         // Of many nodes that got no answer not all ask again at once.
-        let patience = times(self.timing.reply, 1 << self.failures.min(5));
+        let patience = doubled(self.timing.reply, self.failures.min(5));
         let patience = if self.failures == 0 { patience } else { self.jitter.around(patience) };
-        self.asked = Some(Asked { subject: entry.subject, frame, until: now + patience });
+        self.asked = Some(Asked { subject, frame, until: now + patience });
         self.send = Some(frame);
     }
 
@@ -371,75 +382,76 @@ impl<const N: usize> Binding<N> {
             });
             if let Some((at, subject, etag)) = bound {
                 self.claim = Some(at + 1);
-                let halves = SupplyEtag::pair(tx_node, tx_node, subject, Answer::Bound(etag));
-                let [first, second] = halves.map(|half| half.encode());
-                self.second_half = Some(second);
-                return Some(first);
+                let [first, second] = SupplyEtag::pair(tx_node, tx_node, subject, Answer::Bound(etag));
+                self.second_half = Some(second.encode());
+                return Some(first.encode());
             }
         }
     }
 }
 
 impl Entry {
+    /// What the node is to be told.
+    fn tell(&mut self) -> Option<BindingEvent> {
+        let (subject, etag) = (self.subject, self.state.etag());
+        Some(match self.untold.take()? {
+            Untold::Bound => BindingEvent::Bound { subject, etag: etag? },
+            Untold::Rebound { old } => BindingEvent::Rebound { subject, old, new: etag? },
+            Untold::Withdrawn { old } => BindingEvent::Withdrawn { subject, old },
+            Untold::Refused => BindingEvent::Refused { subject },
+            Untold::Contradicted => BindingEvent::Contradicted { subject, etag: etag? },
+        })
+    }
+
     /// `etag` belongs to `subject`, the broker says.
     fn check_fixed(&mut self, subject: Subject, etag: Etag, now: Instant, tell_again_at: Instant) {
-        if let State::Fixed(fixed, tell_at) = self.state
+        if let State::Fixed(fixed) = self.state
             && (self.subject == subject) != (fixed == etag)
-            && now >= tell_at
+            && now >= self.quiet_until
         {
-            self.state = State::Fixed(fixed, tell_again_at);
-            self.untold = Some(BindingEvent::Contradicted { subject: self.subject, etag: fixed });
+            self.quiet_until = tell_again_at;
+            self.untold = Some(Untold::Contradicted);
         }
     }
 
     /// `etag` belongs to another subject.
     fn lose(&mut self, etag: Etag) {
-        let subject = self.subject;
         if self.state != State::Bound(etag) {
             return;
         }
         self.state = State::Wanted;
         self.untold = match self.untold {
             // The node knows nothing of this etag.
-            Some(BindingEvent::Bound { .. }) => None,
-            Some(BindingEvent::Rebound { old, .. } | BindingEvent::Withdrawn { old, .. }) => {
-                Some(BindingEvent::Withdrawn { subject, old })
-            }
-            Some(BindingEvent::Refused { .. } | BindingEvent::Contradicted { .. }) | None => {
-                Some(BindingEvent::Withdrawn { subject, old: etag })
-            }
+            Some(Untold::Bound) => None,
+            Some(Untold::Rebound { old } | Untold::Withdrawn { old }) => Some(Untold::Withdrawn { old }),
+            Some(Untold::Refused | Untold::Contradicted) | None => Some(Untold::Withdrawn { old: etag }),
         };
     }
 
     fn take(&mut self, answer: Answer, retry_at: Instant) {
-        let subject = self.subject;
-        match (self.state, answer) {
-            (State::Fixed(..), _) => {}
-            (State::Bound(old), Answer::Bound(new)) if old == new => {}
-            (State::Bound(old), Answer::Bound(new)) => {
-                self.state = State::Bound(new);
-                // If the node has not even heard of the old one, the new one is the first.
-                self.untold = Some(match self.untold {
-                    Some(BindingEvent::Bound { .. }) => BindingEvent::Bound { subject, etag: new },
-                    Some(BindingEvent::Rebound { old, .. }) => BindingEvent::Rebound { subject, old, new },
-                    _ => BindingEvent::Rebound { subject, old, new },
-                });
+        let Answer::Bound(new) = answer else {
+            if !matches!(self.state, State::Fixed(_)) {
+                (self.state, self.quiet_until) = (State::Refused, retry_at);
+                self.untold = Some(Untold::Refused);
             }
-            (_, Answer::Bound(etag)) => {
-                self.state = State::Bound(etag);
-                self.untold = match self.untold {
-                    // It comes back before the node was told that it was gone.
-                    Some(BindingEvent::Withdrawn { old, .. }) if old == etag => None,
-                    Some(BindingEvent::Withdrawn { old, .. }) => {
-                        Some(BindingEvent::Rebound { subject, old, new: etag })
-                    }
-                    _ => Some(BindingEvent::Bound { subject, etag }),
-                };
-            }
-            (_, Answer::Refused) => {
-                self.state = State::Refused { until: retry_at };
-                self.untold = Some(BindingEvent::Refused { subject });
-            }
-        }
+            return;
+        };
+        let known = match self.state {
+            State::Fixed(_) => return,
+            State::Bound(old) if old == new => return,
+            State::Bound(old) => Some(old),
+            State::Wanted | State::Refused => None,
+        };
+        self.state = State::Bound(new);
+        self.untold = match (self.untold, known) {
+            // If the node has not even heard of the old one, the new one is the first.
+            (Some(Untold::Bound), Some(_)) => Some(Untold::Bound),
+            (Some(Untold::Rebound { old }), Some(_)) => Some(Untold::Rebound { old }),
+            (_, Some(old)) => Some(Untold::Rebound { old }),
+            // It comes back before the node was told that it was gone.
+            (Some(Untold::Withdrawn { old }), None) if old == new => None,
+            (Some(Untold::Withdrawn { old }), None) => Some(Untold::Rebound { old }),
+            (_, None) => Some(Untold::Bound),
+        };
     }
 }

@@ -154,7 +154,11 @@ impl<
         let quality = if PLAIN { &Quality::PLAIN } else { quality };
         let published = match self.layer.publish(now, tag, payload, quality) {
             Ok(published) => published,
-            Err(error) => return self.submit_otherwise(now, tag, payload, quality, error),
+            // A plain event is looked at no closer, but on a soft channel, which may be demoted.
+            Err(error) if PLAIN && SOFT == 0 => {
+                return self.submit_otherwise::<true>(now, tag, payload, quality, error);
+            }
+            Err(error) => return self.submit_otherwise::<false>(now, tag, payload, quality, error),
         };
         match published {
             Published::Hard(buffer, payload) => {
@@ -184,7 +188,7 @@ impl<
     /// The event is not published, unless that is only because its channel has a rate: then it is charged, and
     /// submitted again.
     #[cold]
-    fn submit_otherwise(
+    fn submit_otherwise<const PLAIN: bool>(
         &mut self,
         now: Instant,
         tag: Tag,
@@ -194,7 +198,7 @@ impl<
     ) -> Result<Due, PublishError> {
         match self.layer.open(now, tag) {
             Ok(true) => {
-                let submitted = self.submit::<false>(now, tag, payload, quality);
+                let submitted = self.submit::<PLAIN>(now, tag, payload, quality);
                 self.layer.close(tag);
                 submitted
             }

@@ -5,7 +5,7 @@ use crate::calendar::Slot;
 use crate::can::{Command, Frame, Mailbox, Outcome, Priority, TxNode};
 use crate::event_layer::{Exception, ExceptionKind, Received};
 use crate::network::hard::{BufferId, Counters, HrtBuffers};
-use crate::network::soft::{self, Outgoing, Tag};
+use crate::network::soft::{self, Tag};
 use crate::services::{NodeView, Request, Services};
 use crate::time::Instant;
 use crate::uid::Subject;
@@ -208,11 +208,7 @@ impl<
             Request::SendUrgent(frame, expires_at) => {
                 self.etch.submit_urgent(now, SERVICES, frame, expires_at)
             }
-            Request::Send(frame) => {
-                let forever = Instant::FAR_FUTURE;
-                let outgoing = Outgoing { tag: SERVICES, frame, deadline: forever, expires_at: forever };
-                self.etch.submit_non_real_time(now, outgoing)
-            }
+            Request::Send(frame) => self.etch.queue_for_services(frame).map(|()| None),
             Request::Withdraw(frame) => {
                 let [_, command] =
                     self.etch.recall(|outgoing| outgoing.tag == SERVICES && outgoing.frame == frame);

@@ -88,13 +88,8 @@ impl SupplyEtag {
             Answer::Bound(etag) => Answer::of(etag),
             Answer::Refused => Answer::Refused,
         };
-        [Half::First, Half::Second].map(|half| Self {
-            sender,
-            requester,
-            half,
-            answer,
-            subject_half: half_of(subject, half),
-        })
+        let half = |half| Self { sender, requester, half, answer, subject_half: half_of(subject, half) };
+        [half(Half::First), half(Half::Second)]
     }
 
     /// Who sent it: [`TxNode::BROKER`], or the node that claims.
@@ -171,11 +166,11 @@ impl SupplyEtag {
 }
 
 fn half_of(subject: Subject, half: Half) -> [u8; 4] {
-    let [a, b, c, d, e, f, g, h] = subject.to_bytes();
-    match half {
-        Half::First => [a, b, c, d],
-        Half::Second => [e, f, g, h],
-    }
+    let half = match half {
+        Half::First => subject.get() >> 32,
+        Half::Second => subject.get(),
+    };
+    (half as u32).to_be_bytes()
 }
 
 /// Added to the half in a refusal.

@@ -12,7 +12,11 @@ use std::task::{Context, Poll, Waker};
 use bench::*;
 use cosmic_core::can::{Mailbox, Outcome};
 use cosmic_core::event_layer::ExceptionKind;
-use cosmic_rtic::{Parts, Publisher, Subscriber};
+use cosmic_core::plan::NodePlan;
+use cosmic_core::seal::Seal;
+use cosmic_core::services::PlannedServices;
+use cosmic_core::time::Instant;
+use cosmic_rtic::{Parts, Publisher, StartError, Subscriber, Timed as _};
 
 #[test]
 fn published_events_take_turns_in_the_mailbox() {
@@ -89,4 +93,13 @@ fn each_bus_off_becomes_an_exception() {
     };
     assert_eq!(exception.kind, ExceptionKind::BusOff);
     assert_eq!(notes(&node), ["BusOff"]);
+}
+
+#[test]
+fn services_that_cannot_keep_to_the_seal_of_a_plan_do_not_start() {
+    static SEAL: Seal = Seal { nodes: &[], channels: &[], brokers: &[] };
+    let sealed = NodePlan { seal: Some(&SEAL), ..PLAN };
+    let start = |plan: &NodePlan| PlannedServices::<2, 4, 2, 4>::planned(plan, Instant::EPOCH).err();
+    assert_eq!(start(&sealed), Some(StartError::Services));
+    assert_eq!(start(&PLAN), Some(StartError::NoSync), "that plan has no clock");
 }

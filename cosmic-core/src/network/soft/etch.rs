@@ -261,6 +261,19 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         self.non_real_time.push(key, entry, event.tag.reserve()).map(|()| None).map_err(|_| self.refuse())
     }
 
+    /// Takes a non real-time frame of the services, which keeps for ever. It waits in the queue for the next
+    /// [`poll`](Self::poll), whether the mailbox is free or not: that is not hurried, and this is small. O(log NRT).
+    ///
+    /// # Errors
+    /// [`Full`]; the frame is counted and not sent.
+    pub fn queue_for_services(&mut self, frame: Frame) -> Result<(), Full> {
+        let (tag, forever) = (Tag::SERVICES, Instant::FAR_FUTURE);
+        let outgoing = Outgoing { tag, frame, deadline: forever, expires_at: forever };
+        let entry = Entry { outgoing, report: Report::Deadline };
+        let key = u64::from(frame.id.priority().get());
+        self.non_real_time.push(key, entry, tag.reserve()).map_err(|_| self.refuse())
+    }
+
     /// Returns whether there is room for another non real-time event.
     #[expect(clippy::arithmetic_side_effects, reason = "lengths of at most 255")]
     pub fn has_room_for_non_real_time(&self) -> bool {

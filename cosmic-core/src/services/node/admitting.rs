@@ -9,8 +9,15 @@ use crate::services::{Declaration, Hosted, News, Request, TooMany};
 use crate::time::Instant;
 use crate::uid::Subject;
 
-impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const INTERESTS: usize, B: Hosted>
-    NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
+impl<
+    const CHANNELS: usize,
+    const DECLARATIONS: usize,
+    const PEERS: usize,
+    const INTERESTS: usize,
+    B: Hosted,
+    const ADMISSIONS: usize,
+    const SEALABLE: bool,
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE>
 {
     /// Where a soft real-time channel stands that this node has announced and the plan does not know; `None` for any other.
     pub fn admission_of(&self, subject: Subject) -> Option<AdmissionState> {
@@ -20,8 +27,9 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     /// By the plan, and by what was admitted.
     pub(super) fn gate_now(&self, declaration: &Declaration) -> Result<Gate, AnnounceError> {
         match (self.gate_of(declaration)?, declaration.offer) {
+            (Gate::Closed, Some(_)) if ADMISSIONS == 0 => Err(AnnounceError::NotAskable),
             (Gate::Closed, Some(offer)) => {
-                AdmissionClient::<CHANNELS>::can_ask(&offer).map_err(|_| AnnounceError::NotAskable)?;
+                AdmissionClient::<ADMISSIONS>::can_ask(&offer).map_err(|_| AnnounceError::NotAskable)?;
                 let state = self.admission.state(declaration.subject);
                 let held = matches!(state, Some(AdmissionState::Admitted(_)));
                 Ok(if held { Gate::Open } else { Gate::Closed })

@@ -36,7 +36,9 @@ struct KnownChannel {
 /// All services of a node: clock, configuration, binding, interest, status, and a broker if it hosts one.
 ///
 /// `CHANNELS` as in [`EventHalf`](crate::EventHalf); `DECLARATIONS` is twice that, for both sides of each;
-/// `PEERS` are the other nodes that it keeps track of, and `INTERESTS` what they want and offer.
+/// `PEERS` are the other nodes that it keeps track of, and `INTERESTS` what they want and offer. `ADMISSIONS` are the soft
+/// real-time channels that it asks for because the plan does not know them. A node that is not `SEALABLE` takes no part in a
+/// sealed cluster: it is silent there. An image has no code for what is zero or not: see [`PlannedServices`].
 ///
 /// Every call is O(`CHANNELS` + `PEERS` + `INTERESTS`), and what the broker needs; but [`Services::poll`] and
 /// [`Services::next_wakeup`] are O(1) while nothing is to be done, for they are called after each event of
@@ -48,6 +50,8 @@ pub struct NodeServices<
     const PEERS: usize,
     const INTERESTS: usize,
     B = (),
+    const ADMISSIONS: usize = CHANNELS,
+    const SEALABLE: bool = true,
 > {
     clock: ClockService,
     configuration: Configuration,
@@ -57,7 +61,7 @@ pub struct NodeServices<
     interests: Interests<INTERESTS>,
     members: Members<PEERS>,
     report: StatusReport,
-    admission: AdmissionClient<CHANNELS>,
+    admission: AdmissionClient<ADMISSIONS>,
     admission_plan: Option<(&'static AdmissionPlan, NodeUid)>,
     broker: B,
     /// The plan does not keep this node from it.
@@ -71,8 +75,23 @@ pub struct NodeServices<
     idle_until: Instant,
 }
 
-impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const INTERESTS: usize, B: Hosted>
-    NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
+/// The services of a node whose channels are all planned, in a cluster that is not sealed.
+pub type PlannedServices<
+    const CHANNELS: usize,
+    const DECLARATIONS: usize,
+    const PEERS: usize,
+    const INTERESTS: usize,
+> = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, false>;
+
+impl<
+    const CHANNELS: usize,
+    const DECLARATIONS: usize,
+    const PEERS: usize,
+    const INTERESTS: usize,
+    B: Hosted,
+    const ADMISSIONS: usize,
+    const SEALABLE: bool,
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE>
 {
     /// Services that start now.
     ///
@@ -86,8 +105,8 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     ) -> Result<Self, SyncConfigError> {
         const { assert!(DECLARATIONS >= 2 * CHANNELS, "two declarations for each channel") };
         let &NodeConfig { uid, noise, status_period, .. } = config;
-        let configuration = configuration_of(config, calendar, now);
-        let mut warden = config.seal.map(Warden::new);
+        let configuration = configuration_of::<SEALABLE>(config, calendar, now);
+        let mut warden = config.seal.filter(|_| SEALABLE).map(Warden::new);
         if let Some(warden) = warden.as_mut().filter(|warden| warden.seal().node_of(uid).is_none()) {
             // The node itself: it has no id, and the one of the broker stands in.
             let id = Id::new(Priority::CONFIGURATION, TxNode::BROKER, Etag::NODE_IDENTITY);
@@ -106,7 +125,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
             admission: AdmissionClient::new(uid.get() ^ noise, config.admission_timing),
             admission_plan: config.admission.map(|plan| (plan, uid)),
             broker,
-            may_be_broker: config.seal.is_none_or(|seal| seal.may_be_broker(uid)),
+            may_be_broker: config.seal.is_none_or(|seal| SEALABLE && seal.may_be_broker(uid)),
             warden,
             requests: Ring::new(),
             news: Ring::new(),
@@ -167,7 +186,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
 
     /// What a sealed node has refused; `None` in an open cluster.
     pub fn refusals(&self) -> Option<&Refusals> {
-        self.warden.as_ref().map(Warden::refusals)
+        self.warden().map(Warden::refusals)
     }
 
     /// Why the node has started, for its status.
@@ -179,6 +198,14 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     pub fn release(&mut self) {
         self.idle_until = Instant::EPOCH;
         self.configuration.release();
+    }
+
+    fn warden(&self) -> Option<&Warden> {
+        if SEALABLE { self.warden.as_ref() } else { None }
+    }
+
+    fn warden_mut(&mut self) -> Option<&mut Warden> {
+        if SEALABLE { self.warden.as_mut() } else { None }
     }
 
     fn tell(&mut self, news: News) {
@@ -293,8 +320,15 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     }
 }
 
-impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const INTERESTS: usize, B: Hosted>
-    Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
+impl<
+    const CHANNELS: usize,
+    const DECLARATIONS: usize,
+    const PEERS: usize,
+    const INTERESTS: usize,
+    B: Hosted,
+    const ADMISSIONS: usize,
+    const SEALABLE: bool,
+> Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE>
 {
     const WATCHES_EVENTS: bool = B::WATCHES_EVENTS;
     const GIVES_TX_NODE: bool = true;
@@ -308,7 +342,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         self.idle_until = Instant::EPOCH;
         let own = self.configuration.claimed();
-        if self.warden.as_mut().is_some_and(|warden| !warden.admits(frame, received_at, own)) {
+        if self.warden_mut().is_some_and(|warden| !warden.admits(frame, received_at, own)) {
             return;
         }
         self.configuration.on_frame(frame, received_at);
@@ -348,14 +382,14 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     }
 
     fn permits(&self, declaration: &Declaration) -> Result<Gate, AnnounceError> {
-        if let Some(warden) = &self.warden {
+        if let Some(warden) = self.warden() {
             warden.seal().permits(self.configuration.claimed(), declaration)?;
         }
         self.gate_now(declaration)
     }
 
     fn publishers(&self, subject: Subject) -> Option<&'static TxNodes> {
-        self.warden.as_ref().map(|warden| warden.seal().publishers(subject))
+        self.warden().map(|warden| warden.seal().publishers(subject))
     }
 
     fn declare(&mut self, declaration: &Declaration) -> Result<(), TooMany> {
@@ -396,7 +430,7 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
         if let Some(request) = self.requests.pop() {
             return Some(request);
         }
-        if let Some(kind) = self.warden.as_mut().and_then(Warden::take) {
+        if let Some(kind) = self.warden_mut().and_then(Warden::take) {
             return Some(Request::Exception(None, kind));
         }
         self.declare_changed(now);

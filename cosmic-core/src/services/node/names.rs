@@ -10,8 +10,15 @@ use crate::services::{Hosted, News, NodeConfig, Request};
 use crate::time::Instant;
 use crate::uid::Subject;
 
-impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const INTERESTS: usize, B: Hosted>
-    NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B>
+impl<
+    const CHANNELS: usize,
+    const DECLARATIONS: usize,
+    const PEERS: usize,
+    const INTERESTS: usize,
+    B: Hosted,
+    const ADMISSIONS: usize,
+    const SEALABLE: bool,
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE>
 {
     fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
         self.clock.set_tx_node(tx_node);
@@ -101,12 +108,16 @@ impl<const CHANNELS: usize, const DECLARATIONS: usize, const PEERS: usize, const
     }
 }
 
-/// How a node gets its TxNode. One that a sealed plan does not know gets none.
-pub(super) fn configuration_of(config: &NodeConfig, calendar: &Calendar, now: Instant) -> Configuration {
+/// How a node gets its TxNode. One that a sealed plan does not know gets none, nor does one that cannot keep to the seal.
+pub(super) fn configuration_of<const SEALABLE: bool>(
+    config: &NodeConfig,
+    calendar: &Calendar,
+    now: Instant,
+) -> Configuration {
     let &NodeConfig { uid, noise, configuration: timing, .. } = config;
     let fixed = |tx_node| Configuration::fixed(now, uid, tx_node, noise, timing);
     match (config.seal, config.tx_node) {
-        (Some(seal), _) => match seal.node_of(uid) {
+        (Some(seal), _) => match if SEALABLE { seal.node_of(uid) } else { None } {
             Some(node) => fixed(node.tx_node).on_duplicate(OnDuplicate::Stay),
             None => {
                 let mut silent = Configuration::new(now, uid, noise, timing);

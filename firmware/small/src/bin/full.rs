@@ -2,7 +2,7 @@
 #![no_std]
 #![no_main]
 
-use cosmic_core::services::NodeServices;
+use cosmic_core::services::PlannedServices;
 use small::plan::{channels::angle, nodes::full::NODE};
 use small::*;
 
@@ -19,7 +19,7 @@ pub struct Full;
 impl System for Full {
     type Board = Stm32F405;
     type Capacity = Room;
-    type Services = NodeServices<8, 16, 4, 8>;
+    type Services = PlannedServices<8, 16, 4, 8>;
     type Observer = ();
 }
 
