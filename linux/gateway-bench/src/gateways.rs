@@ -100,15 +100,9 @@ fn look(all: &[Running]) -> State {
                 add(&mut outcomes, word, gateway.counters(segment, direction));
             }
             let Some(node) = gateway.node(segment) else { continue };
-            for counters in running.subjects().filter_map(|subject| node.channel_counters(subject)) {
-                let of_node = [
-                    ("out: node: queue full", counters.overflowed),
-                    ("in: node: expired", counters.discarded),
-                ];
-                for (what, count) in of_node {
-                    *outcomes.entry(what.to_owned()).or_default() += u64::from(count);
-                }
-            }
+            let counters = running.subjects().filter_map(|subject| node.channel_counters(subject));
+            let expired = counters.map(|counters| u64::from(counters.discarded)).sum::<u64>();
+            *outcomes.entry("in: node: expired".to_owned()).or_default() += expired;
         }
         add(&mut outcomes, "in", Some(gateway.unassigned()));
     }
@@ -128,3 +122,5 @@ fn add(outcomes: &mut BTreeMap<String, u64>, direction: &str, counters: Option<&
 pub const ROLE: &str = "gateways";
 /// In the outcomes of events that crossed.
 pub const FORWARDED: &str = "Forwarded";
+/// In the outcomes of those that were left to another gateway, which had perhaps gone.
+pub const PERHAPS_LOST: &str = "PerhapsLost";

@@ -5,6 +5,7 @@
 //! its own. The router, one gateway that sends, and the others that receive are three processes, so that what each costs
 //! is known by the time of processors that the kernel counts for it.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -18,7 +19,7 @@ use crate::child::Child;
 use crate::config::{Channel, Setup, etag_of, free_port, number_of};
 use crate::cost::Cost;
 use crate::failed::Failed;
-use crate::gateways;
+use crate::gateways::{self, FORWARDED};
 use crate::latency::PATIENCE;
 use crate::wire::Wire;
 
@@ -119,8 +120,7 @@ pub fn measure(folder: &Path, segments: usize, subjects: usize, events: u64) -> 
     let empty = bed.costs_of_start;
     bed.open()?;
     let (began, open) = (bed.begun.elapsed().as_secs_f64(), bed.costs()?);
-    // Until what goes on behind has ended.
-    std::thread::sleep(Span::from_secs(3));
+    bed.settle()?;
     let before = bed.costs()?;
     std::thread::sleep(IDLE);
     let after = bed.costs()?;
@@ -130,12 +130,20 @@ pub fn measure(folder: &Path, segments: usize, subjects: usize, events: u64) -> 
     let of_gateways = |costs: &[Cost; 3]| (costs[1].cpu + costs[2].cpu) as f64;
     let live = |costs: &[Cost; 3]| (costs[1].live + costs[2].live) as f64 / 1e6;
     let sent = Instant::now();
-    let heard = bed.heard();
+    let (heard, counted) = (bed.heard(), bed.outcomes()?);
     bed.send(events);
     let took = sent.elapsed().as_secs_f64() / IDLE.as_secs_f64();
     let loaded = bed.costs()?;
     let arrived = bed.heard() - heard;
     let others = (segments - 1) as f64;
+    if arrived < events * (segments as u64 - 1) {
+        let lost = bed.outcomes()?.into_iter().filter_map(|(what, count)| {
+            let more = count - counted.get(&what).copied().unwrap_or(0);
+            (more > 0 && !what.contains(FORWARDED)).then(|| format!("{what} {more}"))
+        });
+        let lost: Vec<_> = lost.collect();
+        eprintln!("gateway-bench: not all arrived; those that get counted: {}", lost.join(", "));
+    }
     let more = |at: usize| {
         (loaded[at].cpu_since(&after[at]) as f64 - idle[at] * took).max(0.0) / 1e3 / events as f64
     };
@@ -208,6 +216,29 @@ impl Bed {
         Ok([self.router.ask("cost")?, sends?.cost, receive?.cost])
     }
 
+    /// What became of events at the gateways that get them.
+    fn outcomes(&mut self) -> Result<BTreeMap<String, u64>, Failed> {
+        Ok(gateways::state(&mut self.receive)?.outcomes)
+    }
+
+    /// Until each knows the clocks of all others, and what goes on behind has ended.
+    fn settle(&mut self) -> Result<(), Failed> {
+        let (begun, others) = (Instant::now(), self.heard.len() / self.subjects);
+        loop {
+            let known =
+                gateways::state(&mut self.sends)?.known.min(gateways::state(&mut self.receive)?.known);
+            if known >= others {
+                break;
+            }
+            if begun.elapsed() > OPENS {
+                return Err(Failed(format!("a gateway knows the clocks of {known} of {others} others only")));
+            }
+            std::thread::sleep(Span::from_millis(500));
+        }
+        std::thread::sleep(Span::from_secs(5));
+        Ok(())
+    }
+
     fn heard(&self) -> u64 {
         self.heard.iter().map(|count| count.load(Ordering::Relaxed)).sum()
     }
@@ -235,7 +266,7 @@ impl Bed {
 
     /// So many events, over the subjects in turn, as fast as receivers take them.
     fn send(&self, events: u64) {
-        let pause = Span::from_micros(100 * (self.heard.len() / self.subjects).max(10) as u64);
+        let pause = Span::from_micros(250 * (self.heard.len() / self.subjects).max(10) as u64);
         for number in 0..events {
             self.from.say(etag_of((number % self.subjects as u64) as u16), number);
             std::thread::sleep(pause);

@@ -34,7 +34,7 @@ outcomes! {
     RateExceeded,
     /// Discarded: what enters takes more of the bus than the segment's ceiling says.
     CeilingExceeded,
-    /// Discarded: the queue towards the bus is full.
+    /// Discarded: the queue is full: towards the bus, or of what waits to leave it.
     QueueFull,
     /// Discarded: the channel has no etag yet, or the node no TxNode.
     NotBound,

@@ -5,7 +5,7 @@ mod origin;
 mod outbox;
 mod passed_over;
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use cosmic_core::can::{Payload, Priority, TxNode};
@@ -58,6 +58,8 @@ pub(crate) struct Port {
     entrance: Entrance,
     /// Somebody on the segment subscribes to it, who is no gateway.
     wanted: AtomicBool,
+    /// Events that found no place among those that wait to leave, as far as they were counted.
+    overflowed: AtomicU32,
     /// It enters whether anybody says so or not.
     unasked: bool,
     /// From publication to the deadline, as publishers on the segment have it.
@@ -140,7 +142,8 @@ impl Segment {
             };
             let unasked = channel.unasked.contains(&config.name);
             let deadline = planned_deadline(channel, config).or(channel.deadline);
-            Ok(Port { channel: declared, entrance, wanted: AtomicBool::new(false), unasked, deadline })
+            let (wanted, overflowed) = (AtomicBool::new(false), AtomicU32::new(0));
+            Ok(Port { channel: declared, entrance, wanted, overflowed, unasked, deadline })
         });
         Ok(Self {
             name: config.name.clone(),
@@ -185,6 +188,17 @@ impl Segment {
     pub(crate) fn listen(&self, channel: usize) -> Result<Subscriber<Payload>, String> {
         let subscriber = self.node.subscribe(&self.channels[channel].channel, Policy::Fifo(WAITING));
         subscriber.map_err(|error| error.to_string())
+    }
+
+    /// Counts events of a channel that came faster than they left, since it was called last.
+    pub(crate) fn count_overflows(&self, channel: usize) {
+        let port = &self.channels[channel];
+        let counters = self.node.channel_counters(port.channel.subject());
+        let overflowed = counters.map_or(0, |counters| counters.overflowed);
+        let before = port.overflowed.swap(overflowed, Ordering::Relaxed);
+        // The node begins anew with a channel that it had given up.
+        let more = overflowed.checked_sub(before).unwrap_or(overflowed);
+        self.outgoing.count_many(Outcome::QueueFull, more.into());
     }
 
     /// Looks at who subscribes here, and returns whether that has changed anything.

@@ -104,6 +104,9 @@ impl Ways {
         for segment in 0..self.hub.segments.len() {
             self.keep_voice(segment).await?;
         }
+        for (segment, channel) in self.readers.keys() {
+            self.hub.segments[*segment].count_overflows(*channel);
+        }
         self.declared.keep(&self.hub).await;
         for channel in 0..self.hub.channels.len() {
             let wanting: Vec<bool> = self.hub.segments.iter().map(|segment| segment.wants(channel)).collect();

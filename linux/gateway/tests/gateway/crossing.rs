@@ -1,12 +1,18 @@
 //! What crosses between two segments, and what does not.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration as Span;
 
-use crate::bed::{HEAT, HEAT_TABLE, Pair, count, fifo, frames, until, with_etag};
+use crate::bed::{
+    HEAT, HEAT_TABLE, Pair, Segment, Setup, Stranger, count, fifo, frames, port, until, with_etag,
+};
 use cosmic_core::can::Etag;
 use cosmic_core::event_layer::{Event, Policy};
 use cosmic_core::time::Duration;
+use cosmic_gateway::config::Config;
 use cosmic_gateway::counters::{Direction, Outcome};
+use cosmic_gateway::{Crossing, Gateway};
 
 const ETAG_WEST: u16 = 5000;
 const ETAG_EAST: u16 = 7000;
@@ -169,4 +175,51 @@ async fn the_deadline_on_the_far_bus_is_what_is_left_of_it() {
     let event = tokio::time::timeout(crate::bed::PATIENCE, subscriber.next()).await.unwrap();
     assert_eq!(event.content, 7);
     assert!(event.id.priority().get() <= 14, "{:?}", event.id);
+}
+
+/// Who watches must not wait. Here it does, so that events come faster than they leave.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn what_finds_no_place_among_those_that_leave_is_counted() {
+    let west = Segment::start().await;
+    let (listen, channels) = (port(), HEAT_TABLE);
+    let more = "etags = { heat = 5000, gateways = 5001 }";
+    let setup = Setup { segment: "west", bus: &west, tx_node: 100, listen, connect: &[], more, channels };
+    let config = Config::parse("test.toml", &setup.text(), std::path::Path::new(".")).unwrap();
+    let is_shut = Arc::new(AtomicBool::new(false));
+    let shut = Arc::clone(&is_shut);
+    let watch = move |_: &Crossing<'_>, _| {
+        // Other tasks go on meanwhile.
+        tokio::task::block_in_place(|| {
+            while shut.load(Ordering::Relaxed) {
+                std::thread::sleep(Span::from_millis(1));
+            }
+        });
+    };
+    let gateway = Gateway::start_watched(&config, Box::new(watch)).await.unwrap();
+    let stranger = Stranger::start(listen, "stranger").await;
+    let _wanted = stranger.session.declare_subscriber(stranger.keys.events(HEAT.subject())).await.unwrap();
+    let publisher = west.node(1).announce(&HEAT.with_etag(etag(5000))).unwrap();
+    publisher.bound().await;
+    let of = |outcome: &Outcome| count(&gateway, "west", Direction::Out, *outcome);
+    let all = || Outcome::ALL.iter().map(of).sum::<u64>();
+    until("the way is open", || {
+        publisher.publish(0).unwrap();
+        of(&Outcome::Forwarded) > 0
+    })
+    .await;
+    let counters = || publisher.node().channel_counters(publisher.subject()).unwrap();
+    let all_sent = || counters().sent + counters().discarded == counters().published;
+    until("all is sent", all_sent).await;
+    tokio::time::sleep(Span::from_millis(200)).await;
+    let before = (all(), counters().sent);
+    is_shut.store(true, Ordering::Relaxed);
+    for number in 0..200 {
+        publisher.publish(number).unwrap();
+        until("it is sent", all_sent).await;
+    }
+    is_shut.store(false, Ordering::Relaxed);
+    let sent = u64::from(counters().sent - before.1);
+    until("each is counted", || all() == before.0 + sent).await;
+    // One was on its way, and 128 waited.
+    assert_eq!(of(&Outcome::QueueFull), sent - 129);
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration as Span;
 
-use crate::bed::{Pair, count, until, with_etag};
+use crate::bed::{Pair, count, name, until, with_etag};
 use cosmic_core::Subject;
 use cosmic_core::can::{Etag, Frame};
 use cosmic_core::event_layer::{Channel, Policy, SoftAttributes};
@@ -113,7 +113,8 @@ impl Bed {
         // Before the first one the way was not open yet.
         let lost = self.published.len() - heard[0] as usize - heard.len();
         let told = self.told();
-        assert!(told >= lost as u64, "{lost} lost, {told} told: {}", self.pair.of_west.metrics());
+        let metrics = [&self.pair.of_west, &self.pair.of_east].map(|gateway| gateway.metrics());
+        assert!(told >= lost as u64, "{lost} lost, {told} told: {}", metrics.concat());
     }
 
     /// What did not cross, as far as the gateways have told.
@@ -126,7 +127,15 @@ impl Bed {
             Outcome::Unwanted,
             Outcome::RateExceeded,
         ];
-        west + self.of_west_standing_by() + lost.map(|outcome| self.of_east(outcome)).iter().sum::<u64>()
+        west + self.of_west_standing_by()
+            + self.expired_in_east()
+            + lost.map(|outcome| self.of_east(outcome)).iter().sum::<u64>()
+    }
+
+    /// And what had to wait for the bus for too long.
+    fn expired_in_east(&self) -> u64 {
+        let node = self.pair.of_east.node(&name("east")).unwrap();
+        node.channel_counters(COMMAND.subject()).unwrap().discarded.into()
     }
 
     /// On a machine that is busy a gateway may have stood still for a moment.
