@@ -47,6 +47,11 @@ impl Spoken {
         Self { _voice: voice, since: Instant::now(), silent_since: None, is_checked: false }
     }
 
+    /// We do not lead the segment. Returns whether that is so for long enough.
+    fn is_over(&mut self) -> bool {
+        self.silent_since.get_or_insert_with(Instant::now).elapsed() >= HESITATION
+    }
+
     /// We lead the segment.
     fn go_on(&mut self, segment: &Name, network: &Network) {
         self.silent_since = None;
@@ -122,18 +127,15 @@ impl Ways {
     async fn keep_voice(&mut self, at: usize) -> Result<(), StartError> {
         let (segment, network) = (&self.hub.segments[at], &self.hub.network);
         let voice = &mut self.voices[at];
-        match voice {
-            Some(spoken) if segment.leads() => spoken.go_on(&segment.name, network),
-            Some(spoken) => {
-                if spoken.silent_since.get_or_insert_with(Instant::now).elapsed() >= HESITATION {
-                    *voice = None;
-                }
+        if !segment.leads() {
+            if voice.as_mut().is_some_and(Spoken::is_over) {
+                *voice = None;
             }
-            None if segment.leads() => {
-                let spoken = network.speak_for(&segment.name).await.map_err(StartError::Network)?;
-                *voice = Some(Spoken::new(spoken));
-            }
-            None => {}
+        } else if let Some(spoken) = voice {
+            spoken.go_on(&segment.name, network);
+        } else {
+            let spoken = network.speak_for(&segment.name).await.map_err(StartError::Network)?;
+            *voice = Some(Spoken::new(spoken));
         }
         Ok(())
     }
