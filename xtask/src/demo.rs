@@ -1,6 +1,7 @@
 //! Runs the firmware on an emulated cluster.
 
 use std::env::consts::EXE_SUFFIX;
+use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 
 use anyhow::{Context as _, Result};
@@ -64,21 +65,29 @@ fn run_wan_built(
         None => images::kept(workspace, &setup::prepare(&[])?, &cluster, None, &[])?.0,
     };
     build()?;
-    let program = |name: &str| workspace.target_dir().join("debug").join(format!("{name}{EXE_SUFFIX}"));
-    let mut demo = Command::new(program(WAN_DEMO));
+    let mut demo = Command::new(program(workspace, WAN_DEMO));
     demo.arg("--cluster").arg(cluster).arg("--images").arg(images);
-    demo.arg("--server").arg(program(SERVER)).args(of_the_demo(arguments));
+    demo.arg("--server").arg(program(workspace, SERVER)).args(of_the_demo(arguments));
     let status = run::status(&mut demo)?;
     Ok(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
 }
 
-/// The demo of the gateway for some seconds. It judges itself: nothing stale, and what crosses, crosses.
+fn program(workspace: &Workspace, name: &str) -> PathBuf {
+    workspace.target_dir().join("debug").join(format!("{name}{EXE_SUFFIX}"))
+}
+
+/// The demo of the gateway for some seconds. It judges itself: nothing stale, and what crosses, crosses. Then once more,
+/// with its page in a browser.
 pub(crate) fn short_wan(workspace: &Workspace) -> Result<Tally> {
     let out = workspace.target_dir().join("wan-demo-of-tests");
     let mut arguments: Vec<String> = SHORT.map(str::to_owned).into();
     arguments.extend(["--out".to_owned(), out.display().to_string()]);
     let build = || linux::build(workspace, &[WAN_DEMO, SERVER]);
-    Ok(Tally::one(run_wan_built(workspace, &arguments, build)? == 0))
+    let mut tally = Tally::one(run_wan_built(workspace, &arguments, build)? == 0);
+    let cluster = plan::find(plan::example(workspace))?;
+    let images = images::kept(workspace, &setup::prepare(&[])?, &cluster, None, &[])?.0;
+    tally.add(linux::test_page_of_wan(workspace, &cluster, &images, &program(workspace, SERVER)));
+    Ok(tally)
 }
 
 const WAN_DEMO: &str = "wan-demo";

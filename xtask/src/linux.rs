@@ -1,5 +1,6 @@
 //! The crates under `linux/`, whose dependencies no other crate needs.
 
+use std::path::Path;
 use std::process::Command;
 
 use anyhow::Result;
@@ -34,13 +35,18 @@ pub(crate) fn test(workspace: &Workspace) -> Result<Tally> {
     let mut command = workspace.cargo();
     command.args(["test", "--no-fail-fast"]).args(PACKAGES);
     command.args(["--", "--include-ignored"]).env("COSMIC_PYTHON", python);
+    insist_on_browser(&mut command);
+    step("testing what runs on Linux", || cargo_test(&mut command))
+}
+
+/// A missing browser is a failure of these tests, where one can be had.
+fn insist_on_browser(command: &mut Command) {
     match setup::install_tools(&[Tool::Browser]) {
         Ok(()) => {
             command.env(BROWSER, "1");
         }
         Err(why) => eprintln!("the live page is not tried in a browser: {why:#}"),
     }
-    step("testing what runs on Linux", || cargo_test(&mut command))
 }
 
 /// Builds programs of theirs as their tests are built, so that zenoh is not built once more for these.
@@ -58,6 +64,22 @@ pub(crate) fn one_test(workspace: &Workspace, name: &str) -> Command {
     let mut command = workspace.cargo();
     command.arg("test").args(PACKAGES).args(["--test", name]);
     command
+}
+
+/// The page of the demo that crosses gateways, in a browser: of these images, with this server of segments.
+pub(crate) fn test_page_of_wan(
+    workspace: &Workspace,
+    cluster: &Path,
+    images: &Path,
+    server: &Path,
+) -> Result<Tally> {
+    let mut command = one_test(workspace, "page");
+    command
+        .env("COSMIC_WAN_CLUSTER", cluster)
+        .env("COSMIC_WAN_IMAGES", images)
+        .env("COSMIC_WAN_SERVER", server);
+    insist_on_browser(&mut command);
+    step("watching events cross, in a browser", || cargo_test(&mut command))
 }
 
 /// Clippy and documentation.
