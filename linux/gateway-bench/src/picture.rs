@@ -71,14 +71,19 @@ pub fn draw(scale: &Scale) -> String {
         document = draw_panel(document, panel, scale, &subjects, corner);
     }
     let names: Vec<_> = subjects.iter().map(ToString::to_string).collect();
-    let legend = format!(
-        "Against the number of segments, with {} subjects on each (hollow marks: {}); broken lines: zenoh's router. Both scales are logarithmic; less is better.",
-        names.join(" and "),
-        names.first().map_or("", String::as_str),
-    );
-    document
-        .add(Text::new(legend).set("x", LEFT).set("y", 2.0 * HEIGHT + 14.0).set("fill", "#333"))
-        .to_string()
+    let legend = [
+        format!(
+            "Against the number of segments, with {} subjects on each (hollow marks: {}); broken lines: zenoh's router.",
+            names.join(" and "),
+            names.first().map_or("", String::as_str),
+        ),
+        "All scales are logarithmic; less is better.".to_owned(),
+    ];
+    for (row, line) in legend.into_iter().enumerate() {
+        let y = 2.0 * HEIGHT + 14.0 + 18.0 * row as f64;
+        document = document.add(Text::new(line).set("x", LEFT).set("y", y).set("fill", "#333"));
+    }
+    document.to_string()
 }
 
 /// From numbers to places.
@@ -203,7 +208,7 @@ fn dashes(curve: &Curve) -> &'static str {
 
 const WIDTH: f64 = 500.0;
 const HEIGHT: f64 = 320.0;
-const FOOT: f64 = 30.0;
+const FOOT: f64 = 48.0;
 const LEFT: f64 = 60.0;
 const RIGHT: f64 = 20.0;
 const TOP: f64 = 36.0;
