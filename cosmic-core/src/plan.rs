@@ -40,8 +40,8 @@ pub struct NodePlan {
     pub name: &'static str,
     /// Its name in the world.
     pub uid: NodeUid,
-    /// Its short id on the segment.
-    pub tx_node: TxNode,
+    /// Its short id on the segment; `None`: it asks the broker for one.
+    pub tx_node: Option<TxNode>,
     /// The settings of its clock, with its place in the succession of masters and the digest of the calendar;
     /// `None` in a cluster without clock synchronisation.
     pub sync: Option<SyncConfig>,

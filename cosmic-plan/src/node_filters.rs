@@ -56,7 +56,8 @@ fn planned(wanted: &[Wanted]) -> Result<Vec<FilterBank>, FilterBanksError> {
 
 fn wanted(cluster: &Cluster, plan: &Plan, at: usize) -> Vec<Wanted> {
     let node = &cluster.nodes[at];
-    let mut wanted = vec![of_own_tx_node(node)];
+    // Of one that asks it is not known; a claim to it is among the messages of the protocol.
+    let mut wanted: Vec<_> = (!node.asks).then(|| of_own_tx_node(node)).into_iter().collect();
     if cluster.sync_period.is_some() {
         wanted.push(Wanted::etag(Fifo::Urgent, Etag::SYNC));
         wanted.push(Wanted::etag(Fifo::Urgent, Etag::FOLLOW_UP));

@@ -269,3 +269,36 @@ fn a_soft_channel_without_a_proof_gets_advice_that_helps() {
     assert!(changes[0].starts_with("c: a deadline of 11 ms instead of 6 ms"), "{changes:?}");
     assert!(changes[1].starts_with("c: a min_interarrival of 5.2 ms instead of 10 ms"), "{changes:?}");
 }
+
+#[test]
+fn a_node_that_asks_for_its_id_needs_a_broker_and_no_slot() {
+    let soft = "subject = 1\nclass = 'SRT'\nlength = 2\nperiod = '5 ms'\ndeadline = '5 ms'\n";
+    let hard = "subject = 1\nclass = 'HRT'\nlength = 2\nperiod = '5 ms'\nomission_degree = 1\n";
+    let asks = |segment: &str, channel: &str, id: &str| {
+        text(&format!("{SEGMENT}\n{segment}"), channel)
+            .replace("uid = 1\n", &format!("uid = 1\ntx_node = {id}\n"))
+    };
+    let broker = "binding = 'broker'";
+    let cluster = Cluster::read(&Source::new("a.toml", asks(broker, soft, "'ask'"))).unwrap();
+    assert!(cluster.nodes[0].asks);
+    for (text, help) in [
+        (asks("", soft, "'ask'"), "write binding = \"broker\" in [segment], or a number, or leave it out"),
+        (
+            asks(broker, hard, "'ask'"),
+            "write a number, or leave it out, or let another node publish that channel",
+        ),
+        (
+            asks("sealed = true", soft, "'ask'"),
+            "write a number, or leave it out: in a sealed cluster each node is known by its id",
+        ),
+        (asks(broker, soft, "'asks'"), "write a number from 0 to 126, or \"ask\""),
+        (asks(broker, soft, "300"), "write a number from 0 to 126, or \"ask\""),
+        (asks(broker, soft, "127"), "write a number from 0 to 126 that no other node has"),
+    ] {
+        assert_eq!(only(&refused(&text)), ("node.a.tx_node".to_owned(), help.to_owned()), "{text}");
+    }
+    // Two that ask do not have one id.
+    let other = "[[node]]\nname = 'b'\nuid = 2\ntx_node = 'ask'\n[[channel]]";
+    let two = asks(broker, soft, "'ask'").replace("[[channel]]", other);
+    assert!(Cluster::read(&Source::new("a.toml", two)).is_ok());
+}

@@ -58,7 +58,7 @@ pub trait Timed: Services + Sized {
 
     /// The TxNode with which the node starts, which the services may still have to claim; `None` if it asks for one.
     fn tx_node(&self, node: &NodePlan) -> Option<TxNode> {
-        Some(node.tx_node)
+        node.tx_node
     }
 
     /// Returns whether the node has the names that frames of this channel bear: its own, and the channel's.
@@ -83,8 +83,7 @@ pub trait Timed: Services + Sized {
     }
 }
 
-/// All services, and a broker if the node hosts one. In a [`start_with`](crate::start_with) they can be others than
-/// those of the plan: those of a node that asks the broker for its TxNode.
+/// All services, and a broker if the node hosts one. A node to which the plan gives no TxNode asks for one.
 impl<
     const CHANNELS: usize,
     const DECLARATIONS: usize,
@@ -156,7 +155,9 @@ impl<const NODES: usize, const SUBJECTS: usize, const ADMITTED: usize> PlannedHo
 impl Timed for ClockService {
     fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
         let config = node.sync.ok_or(StartError::NoSync)?;
-        let new = Self::new(config, node.calendar, Some(node.tx_node), now).map_err(StartError::Sync)?;
+        // It asks nobody.
+        let tx_node = node.tx_node.ok_or(StartError::NoTxNode)?;
+        let new = Self::new(config, node.calendar, Some(tx_node), now).map_err(StartError::Sync)?;
         Ok(new.sealed(node.seal).admitting(node.admission, node.uid))
     }
 
@@ -165,15 +166,18 @@ impl Timed for ClockService {
     }
 }
 
-/// A node that claims the TxNode of its plan. In a [`start_with`](crate::start_with) it can be one that asks the broker
-/// for one. It has no clock, and so it keeps silent in hard real-time.
+/// A node that claims the TxNode of its plan, or asks the broker for one if the plan gives it none. It has no clock, and so
+/// it keeps silent in hard real-time.
 impl<const CHANNELS: usize> Timed for NamingService<CHANNELS> {
     fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
         // It cannot keep to these.
         if node.seal.is_some() || node.admission.is_some() {
             return Err(StartError::Services);
         }
-        Ok(Self::fixed(node.uid, node.tx_node, 0, now))
+        Ok(match node.tx_node {
+            Some(tx_node) => Self::fixed(node.uid, tx_node, 0, now),
+            None => Self::new(node.uid, 0, now),
+        })
     }
 
     fn clock(&self) -> GlobalClock {
@@ -206,6 +210,8 @@ impl Timed for () {
 pub enum StartError {
     /// The services need clock synchronisation, and the plan says that the cluster has none.
     NoSync,
+    /// The plan gives the node no TxNode, and the services do not ask for one.
+    NoTxNode,
     /// The plan wants a seal or admission to be kept to, which these services cannot.
     Services,
     /// The settings of clock synchronisation are refused.

@@ -2,6 +2,7 @@
 
 use boards::stm32f4::{MeasuringPoint, MeasuringPoints, Resources};
 use cosmic_core::Subject;
+use cosmic_core::can::TxNode;
 use cosmic_core::event_layer::{Channel, Content, Delivered, Exception, Filter, Policy, PublishError};
 use cosmic_core::plan::NodePlan;
 use cosmic_core::services::ClockService;
@@ -45,7 +46,8 @@ pub fn start(resources: Resources, node: NodePlan, storage: &'static mut Storage
     let observer = Reporter { records, published, exception };
     let of_calendar = CalendarReporter { running: calendar, notified: delivered };
     let parts = defmt::unwrap!(start_observed(board, &node, storage, observer, of_calendar));
-    defmt::info!("node {} is up, calendar {=u32:08X}", node.tx_node.get(), node.calendar.digest());
+    let tx_node = node.tx_node.unwrap_or(TxNode::BROKER);
+    defmt::info!("node {} is up, calendar {=u32:08X}", tx_node.get(), node.calendar.digest());
     parts
 }
 

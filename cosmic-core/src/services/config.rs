@@ -64,12 +64,12 @@ impl NodeConfig {
         }
     }
 
-    /// A node as the plan of its cluster has it, with the TxNode that it has there; `None` if the cluster has no clock
-    /// synchronisation. A node that is to ask the broker for its id has `tx_node: None` instead.
+    /// A node as the plan of its cluster has it, with the TxNode that it has there, or none; `None` if the cluster has no
+    /// clock synchronisation.
     pub const fn planned(node: &NodePlan) -> Option<Self> {
         let Some(clock) = node.sync else { return None };
         let &NodePlan { uid, tx_node, seal, admission, .. } = node;
-        Some(Self { tx_node: Some(tx_node), clock, seal, admission, ..Self::new(uid) })
+        Some(Self { tx_node, clock, seal, admission, ..Self::new(uid) })
     }
 
     pub(super) fn on_duplicate(&self, tx_node: TxNode, calendar: &Calendar) -> OnDuplicate {

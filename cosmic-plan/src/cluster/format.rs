@@ -6,7 +6,8 @@
 
 use super::contents::{self, ContentTable};
 use super::values::{
-    BindingName, ChannelSubject, ClassName, Name, PositiveSpan, Rate, Span, Succession, Uid, UnplannedName,
+    BindingName, ChannelSubject, ClassName, Name, PositiveSpan, Rate, ShortId, Span, Succession, Uid,
+    UnplannedName,
 };
 use crate::document::{At, Log, Node, Place, Source, Table};
 #[cfg(feature = "cli")]
@@ -111,9 +112,8 @@ pub struct NodeTable {
     /// Its UID, unique in the world.
     #[cfg_attr(feature = "cli", schemars(required))]
     pub uid: Option<At<Uid>>,
-    /// Its short id, 0..=126; counted from 1 in the order of the file if not given.
-    #[cfg_attr(feature = "cli", schemars(range(min = 0, max = 126)))]
-    pub tx_node: Option<At<u8>>,
+    /// Its short id, 0..=126; counted from 1 in the order of the file if not given. "ask": it asks the broker for one.
+    pub tx_node: Option<At<ShortId>>,
     /// Its place in the succession of time masters, 0 the first; in the order of the file if not given, the
     /// first sixteen nodes. "never": it does not become master.
     pub rank: Option<At<Succession>>,

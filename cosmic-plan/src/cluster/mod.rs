@@ -78,8 +78,10 @@ pub struct Node {
     pub name: String,
     /// Its 64-bit UID.
     pub uid: u64,
-    /// Its short id on this segment.
+    /// Its short id on this segment. Of a node that [asks](Self::asks) it is what stands for it in the analysis.
     pub tx_node: TxNode,
+    /// The broker gives it a short id at run time.
+    pub asks: bool,
     /// Its place in the succession of time masters; `None`: it does not become master.
     pub rank: Option<Rank>,
     /// What it publishes: positions in [`Cluster::channels`].

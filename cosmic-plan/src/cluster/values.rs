@@ -4,7 +4,7 @@ use crate::contents::Decimal;
 use crate::document::{FromNode, Kind, Mismatch, Node};
 use crate::units;
 use cosmic_core::Subject;
-use cosmic_core::can::BitRate;
+use cosmic_core::can::{BitRate, TxNode};
 use cosmic_core::protocol::Rank;
 use cosmic_core::time::Duration;
 #[cfg(feature = "cli")]
@@ -188,6 +188,30 @@ impl FromNode for Succession {
         rank.map(|rank| Self(Some(rank))).ok_or_else(|| {
             let help = format!("write 0 (the first) to {} (the last), or \"never\"", Rank::LAST.get());
             Mismatch::new(format!("{} is no place in the succession of time masters", node.describe()), help)
+        })
+    }
+}
+
+/// A short id that a file gives a node: a number, or the word for a node that asks the broker for one, `None`.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct ShortId(pub Option<u8>);
+
+described!(ShortId, "ShortId", {
+    "description": "A short id, 0 to 126; or \"ask\": the node asks the broker for one.",
+    "anyOf": [
+        { "type": "integer", "minimum": 0, "maximum": 126 },
+        { "type": "string", "enum": ["ask"] }
+    ]
+});
+
+impl FromNode for ShortId {
+    fn from_node(node: &Node) -> Result<Self, Mismatch> {
+        if matches!(&node.kind, Kind::Text(text) if text == "ask") {
+            return Ok(Self(None));
+        }
+        u8::from_node(node).map(|id| Self(Some(id))).map_err(|_| {
+            let help = format!("write a number from 0 to {}, or \"ask\"", TxNode::MAX.get());
+            Mismatch::new(format!("{} is no short id", node.describe()), help)
         })
     }
 }

@@ -21,7 +21,7 @@ fn write_all(out: &mut String, cluster: &Cluster, source_name: &str) -> std::fmt
     writeln!(out, "#ifndef {guard}\n#define {guard}\n")?;
     out.push_str(HEAD);
     writeln!(out, "/* Nodes: the TxNode of each. */")?;
-    for node in &cluster.nodes {
+    for node in cluster.nodes.iter().filter(|node| !node.asks) {
         writeln!(
             out,
             "#define {}_NODE_{} {}u",

@@ -75,7 +75,7 @@ fn write_nodes(out: &mut String, cluster: &Cluster) -> std::fmt::Result {
             &format!("node-{}", node.name),
             &[
                 node.name.clone(),
-                format!("{:#04x}", node.tx_node.get()),
+                if node.asks { "asks".to_owned() } else { format!("{:#04x}", node.tx_node.get()) },
                 format!("<code>{:#018x}</code>", node.uid),
                 rank,
                 links(&node.publishes),

@@ -31,7 +31,7 @@ fn write_all(out: &mut String, cluster: &Cluster, source_name: &str) -> std::fmt
     )?;
     out.push_str(HEAD);
     writeln!(out, "local nodes = {{")?;
-    for node in &cluster.nodes {
+    for node in cluster.nodes.iter().filter(|node| !node.asks) {
         writeln!(out, "    [{}] = \"{}\",", node.tx_node.get(), node.name)?;
     }
     writeln!(out, "}}\n")?;

@@ -177,7 +177,7 @@ fn write_tables(out: &mut String, cluster: &Cluster) -> std::fmt::Result {
         )?;
     }
     writeln!(out, "}}\n\n# The nodes, by TxNode.\nNODES = {{")?;
-    for node in &cluster.nodes {
+    for node in cluster.nodes.iter().filter(|node| !node.asks) {
         writeln!(out, "    {}: \"{}\",", node.tx_node.get(), node.name)?;
     }
     writeln!(out, "}}\n\n# Of each channel the priority under which the DBC file lists it.\n_LISTED = {{")?;

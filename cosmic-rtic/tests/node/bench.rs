@@ -183,7 +183,7 @@ pub(crate) const ETAG: Etag = Etag::new(2_000).unwrap();
 pub(crate) const PLAN: NodePlan = NodePlan {
     name: "tested",
     uid: NodeUid::new(7).unwrap(),
-    tx_node: OWN,
+    tx_node: Some(OWN),
     sync: None,
     filters: &[],
     calendar: &CALENDAR,

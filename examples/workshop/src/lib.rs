@@ -1,4 +1,4 @@
-//! What the nodes of the workshop share: the plan, the contents, and the two ways in which a node is brought up.
+//! What the nodes of the workshop share: the plan, the contents, and how a node is brought up.
 #![no_std]
 
 use core::marker::PhantomData;
@@ -8,7 +8,7 @@ pub use cosmic_core::client::AdmissionState;
 pub use cosmic_core::event_layer::{Attribute, Bytes, Context, Event, Filter};
 use cosmic_core::event_layer::{Channel, EventRate, SoftAttributes};
 use cosmic_core::plan::NodePlan;
-use cosmic_core::services::{AdmittingBroker, News, NodeConfig, NodeServices};
+use cosmic_core::services::{AdmittingBroker, News, NodeServices};
 use cosmic_core::uid::Subject;
 pub use cosmic_rtic::prelude::*;
 use cosmic_rtic::{Log, PlannedHost};
@@ -76,25 +76,13 @@ impl<B: PlannedHost + 'static> System for Workshop<B> {
     type Observer = Log;
 }
 
-/// Starts a node with the id that it has in the plan.
+/// Starts a node, with the id that it has in the plan, or one that it asks the broker for.
 pub fn start<B: PlannedHost>(
     resources: boards::stm32f4::Resources,
     node: &NodePlan,
     storage: &'static mut Storage<Workshop<B>>,
 ) -> Parts<Workshop<B>> {
     cosmic_rtic::start_observed(board(resources, node), node, storage, Log, ()).expect(CLOCKED)
-}
-
-/// Starts a node that asks the broker for its id.
-pub fn join(
-    resources: boards::stm32f4::Resources,
-    node: &NodePlan,
-    storage: &'static mut Storage<Workshop>,
-) -> Parts<Workshop> {
-    let board = board(resources, node);
-    let config = NodeConfig { tx_node: None, ..NodeConfig::planned(node).expect(CLOCKED) };
-    let services = NodeServices::new(&config, node.calendar, (), Stm32F405::now()).expect(CLOCKED);
-    cosmic_rtic::start_with(board, node, storage, services, Log, ())
 }
 
 /// The board, with its log.

@@ -46,7 +46,7 @@ impl Config {
     pub fn of_plan(plan: &NodePlan) -> Self {
         let clock = plan.sync.unwrap_or(SyncConfig::DEFAULT);
         let new = Self::new(plan.uid);
-        let (tx_node, admission) = (Some(plan.tx_node), plan.admission);
+        let (tx_node, admission) = (plan.tx_node, plan.admission);
         let node = NodeConfig { tx_node, clock, seal: plan.seal, admission, ..new.node };
         Self { node, calendar: plan.calendar, ..new }
     }

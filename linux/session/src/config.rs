@@ -15,7 +15,7 @@ pub fn node_config(uid: NodeUid, plan: Option<&SegmentPlan>, bit_rate: BitRate) 
     let Some(plan) = plan else { return config.calendar(calendar_without_slots(bit_rate)) };
     let mut config = config.calendar(kept(plan.calendar()));
     let planned = plan.cluster().nodes.iter().find(|node| NodeUid::new(node.uid) == Some(uid));
-    config.node.tx_node = planned.map(|node| node.tx_node);
+    config.node.tx_node = planned.filter(|node| !node.asks).map(|node| node.tx_node);
     if let Some(clock) = plan.cluster().sync() {
         config.node.clock = clock;
     }

@@ -83,7 +83,7 @@ mod app {
     const PLAN: NodePlan = NodePlan {
         name: "node",
         uid: NodeUid::new(1).unwrap(),
-        tx_node: NODE,
+        tx_node: Some(NODE),
         sync: None,
         filters: &[],
         calendar: &CALENDAR,

@@ -1,5 +1,6 @@
 //! From the tables of a file to a cluster that can only be valid.
 
+mod asking;
 mod channel;
 mod foreign;
 mod recurrence;
@@ -113,6 +114,7 @@ impl Checker<'_> {
         self.clock(&file.segment, &cluster);
         self.use_of_channels(file, &cluster);
         self.reserved_subjects(&file.channel);
+        self.asking(&file.node, &cluster);
         self.hyperperiod(file, &cluster);
         let pools = file.pool.iter().map(|pool| self.pool(pool, &cluster)).collect();
         Cluster { pools, ..cluster }
@@ -133,7 +135,7 @@ impl Checker<'_> {
     }
 
     fn nodes(&self, tables: &[NodeTable], names: &Names<'_>) -> Vec<Node> {
-        let given: Vec<u8> = tables.iter().filter_map(|t| t.tx_node.as_ref()).map(|at| at.value).collect();
+        let given: Vec<u8> = tables.iter().filter_map(|t| t.tx_node.as_ref()?.value.0).collect();
         let mut free = (1..=TxNode::MAX.get()).filter(|id| !given.contains(id));
         let taken: Vec<Rank> = tables.iter().filter_map(|t| t.rank.as_ref()?.value.0).collect();
         let mut ranks = (0..=Rank::LAST.get()).filter_map(Rank::new).filter(|rank| !taken.contains(rank));
@@ -145,8 +147,10 @@ impl Checker<'_> {
         self.unique("node", tables.iter().map(|t| (&t.uid, &t.place)), |at| {
             format!("uid {:#018x}", at.value.0)
         });
-        let ids = tables.iter().map(|t| (&t.tx_node, &t.place));
-        self.unique("node", ids, |at| format!("tx_node {}", at.value));
+        let has_id = |t: &&NodeTable| t.tx_node.as_ref().is_none_or(|at| at.value.0.is_some());
+        self.unique("node", tables.iter().filter(has_id).map(|t| (&t.tx_node, &t.place)), |at| {
+            format!("tx_node {}", at.value.0.unwrap_or_default())
+        });
         tables.iter().map(|table| self.node(table, names, &mut free, &mut ranks)).collect()
     }
 
@@ -158,7 +162,7 @@ impl Checker<'_> {
         ranks: &mut dyn Iterator<Item = Rank>,
     ) -> Node {
         let name = name_of(&table.name);
-        let given = table.tx_node.as_ref().map(|at| at.value);
+        let given = table.tx_node.as_ref().and_then(|at| at.value.0);
         let tx_node = given.or_else(|| free.next()).and_then(TxNode::new).filter(|id| *id <= TxNode::MAX);
         if tx_node.is_none() {
             let place = table.tx_node.as_ref().map_or(start_of(&table.place), |at| at.place.clone());
@@ -173,6 +177,7 @@ impl Checker<'_> {
             name: name.to_owned(),
             uid: table.uid.as_ref().map_or(1, |at| at.value.0),
             tx_node: tx_node.unwrap_or(TxNode::MIN),
+            asks: table.tx_node.as_ref().is_some_and(|at| at.value.0.is_none()),
             rank: table.rank.as_ref().map_or_else(|| ranks.next(), |at| at.value.0),
             publishes: resolve(&table.publishes, "publishes"),
             subscribes: resolve(&table.subscribes, "subscribes"),

@@ -30,8 +30,10 @@ fn write_node(out: &mut String, cluster: &Cluster, node: &Node, filters: &[Filte
     constant("Its name.", "NAME", "&str", &format!("{:?}", node.name))?;
     let uid = format!("{CORE}::NodeUid::new({:#018x}).unwrap()", node.uid);
     constant("Its UID.", "UID", "::cosmic_core::NodeUid", &uid)?;
-    let tx_node = format!("{CORE}::can::TxNode::new({}).unwrap()", node.tx_node.get());
-    constant("Its short id.", "TX_NODE", "::cosmic_core::can::TxNode", &tx_node)?;
+    let tx_node = format!("{CORE}::can::TxNode::new({})", node.tx_node.get());
+    let tx_node = if node.asks { "None" } else { &tx_node };
+    let doc = "Its short id; `None`: it asks for one.";
+    constant(doc, "TX_NODE", "Option<::cosmic_core::can::TxNode>", tx_node)?;
     let rank = match node.rank.filter(|_| cluster.sync_period.is_some()) {
         Some(rank) => format!("{CORE}::protocol::Rank::new({})", rank.get()),
         None => "None".to_owned(),

@@ -13,7 +13,7 @@ mod app {
 
     #[init(local = [storage: Storage<Workshop> = Storage::new()])]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let parts = join(boards::resources!(cx.device), &NODE, cx.local.storage);
+        let parts = start(boards::resources!(cx.device), &NODE, cx.local.storage);
         let Parts { calendar, urgent, outcomes, status, other, events, node } = parts;
         spawn!(calendar(calendar), events(events), exceptions(), news(), measure());
         (Shared { node }, Local { urgent, outcomes, status, other })
