@@ -132,11 +132,10 @@ impl Entry {
             return 0;
         }
         let late = now.saturating_since(self.overdue_at).as_ticks();
-        let more = late.checked_div(rate.interval().as_ticks()).unwrap_or(0);
-        let missed = more.saturating_add(1);
-        let passed = rate.interval().as_ticks().saturating_mul(missed);
-        // At the end of the time scale it stays there.
-        let next = self.overdue_at.since_epoch().as_ticks().saturating_add(passed);
+        let interval = rate.interval().as_ticks().max(1);
+        let missed = (late / interval).saturating_add(1);
+        // The first of its instants that is still to come; at the end of the time scale it stays there.
+        let next = now.since_epoch().as_ticks().saturating_sub(late % interval).saturating_add(interval);
         self.overdue_at = Instant::from_epoch(Duration::from_ticks(next));
         u32::try_from(missed).unwrap_or(u32::MAX)
     }
