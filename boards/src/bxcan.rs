@@ -6,7 +6,7 @@
 use cosmic_core::can::filter_banks::{Fifo, FilterBank};
 
 use crate::bit_timing::BitTiming;
-use crate::bxcan_rx::{OtherFrames, RxFrames, UrgentFrames};
+use crate::bxcan_rx::RxFrames;
 use crate::bxcan_status::{self, BusStatus, StatusChanges};
 use crate::bxcan_tx::{self, HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::registers::Registers;
@@ -44,9 +44,9 @@ pub struct Parts {
     /// For the transmit interrupt.
     pub outcomes: TxOutcomes,
     /// For the interrupt of FIFO 0.
-    pub urgent: UrgentFrames,
+    pub urgent: RxFrames,
     /// For the interrupt of FIFO 1.
-    pub other: OtherFrames,
+    pub other: RxFrames,
     /// For the status change interrupt.
     pub changes: StatusChanges,
     /// The error counters.
@@ -117,8 +117,8 @@ impl Controller {
             soft,
             non_real_time,
             outcomes,
-            urgent: RxFrames::new(registers),
-            other: RxFrames::new(registers),
+            urgent: RxFrames::urgent(registers),
+            other: RxFrames::other(registers),
             changes: StatusChanges::new(registers),
             bus: BusStatus::new(registers),
         }

@@ -10,8 +10,6 @@
 //! When three messages are pending and another comes, the controller overwrites the last of them
 //! (RM0090, bxCAN reception handling; RFLM = 0), so the newest message is always there.
 
-use core::marker::PhantomData;
-
 use cosmic_core::can::{Frame, Id, Payload};
 
 use crate::registers::Registers;
@@ -28,43 +26,32 @@ pub struct RxLosses {
     pub foreign: u32,
 }
 
-/// A receive FIFO, and with it the number of its registers.
-pub trait Fifo {
-    /// 0 or 1.
-    const NUMBER: usize;
-}
-
-/// FIFO 0.
-pub struct Urgent;
-/// FIFO 1.
-pub struct Other;
-
-impl Fifo for Urgent {
-    const NUMBER: usize = 0;
-}
-
-impl Fifo for Other {
-    const NUMBER: usize = 1;
-}
-
 /// A receive FIFO: read by its own interrupt only.
 ///
 /// Its owner alone accesses `CAN_RFxR` and the receive mailbox of the FIFO. The writable bits of that
-/// register act when a 1 is written and ignore a 0, so plain writes will do.
-pub struct RxFrames<F> {
+/// register act when a 1 is written and ignore a 0, so plain writes will do. Both FIFOs are of one type, so that their
+/// interrupts share what they do with a frame.
+pub struct RxFrames {
     registers: Registers,
+    /// Of `CAN_RFxR`.
+    status_at: usize,
+    mailbox: usize,
     losses: RxLosses,
-    _fifo: PhantomData<F>,
 }
 
-/// FIFO 0.
-pub type UrgentFrames = RxFrames<Urgent>;
-/// FIFO 1.
-pub type OtherFrames = RxFrames<Other>;
+impl RxFrames {
+    /// FIFO 0.
+    pub(crate) const fn urgent(registers: Registers) -> Self {
+        Self::new(registers, RFR, RX_MAILBOX_0)
+    }
 
-impl<F: Fifo> RxFrames<F> {
-    pub(crate) const fn new(registers: Registers) -> Self {
-        Self { registers, losses: RxLosses { overruns: 0, foreign: 0 }, _fifo: PhantomData }
+    /// FIFO 1.
+    pub(crate) const fn other(registers: Registers) -> Self {
+        Self::new(registers, RFR + RFR_STRIDE, RX_MAILBOX_0 + RX_MAILBOX_STRIDE)
+    }
+
+    const fn new(registers: Registers, status_at: usize, mailbox: usize) -> Self {
+        Self { registers, status_at, mailbox, losses: RxLosses { overruns: 0, foreign: 0 } }
     }
 
     /// The next frame, if there is one. The interrupt stays pending while there are more.
@@ -84,7 +71,7 @@ impl<F: Fifo> RxFrames<F> {
     /// Takes the first message out. Notes an overrun, whether there is a message or not.
     #[inline]
     fn take(&mut self) -> Option<Received> {
-        let status_at = RFR + RFR_STRIDE * F::NUMBER;
+        let Self { status_at, mailbox, .. } = *self;
         let status = self.registers.read(status_at);
         if status & RFR_FOVR != 0 {
             self.losses.overruns = self.losses.overruns.saturating_add(1);
@@ -95,7 +82,6 @@ impl<F: Fifo> RxFrames<F> {
         if status & RFR_FMP == 0 || status & RFR_RFOM != 0 {
             return None;
         }
-        let mailbox = RX_MAILBOX_0 + RX_MAILBOX_STRIDE * F::NUMBER;
         let received = Received {
             identifier: self.registers.read(mailbox + RIR),
             length_and_time: self.registers.read(mailbox + RDTR),
@@ -177,8 +163,8 @@ mod tests {
         memory
     }
 
-    fn urgent(memory: &mut Memory) -> UrgentFrames {
-        RxFrames::new(memory.registers())
+    fn urgent(memory: &mut Memory) -> RxFrames {
+        RxFrames::urgent(memory.registers())
     }
 
     fn frame(data: &[u8]) -> Frame {
@@ -201,7 +187,7 @@ mod tests {
         }
         memory.set(0x1CC, 0x0807_0605);
         assert_eq!(urgent(&mut memory).read(), None);
-        let mut other = OtherFrames::new(memory.registers());
+        let mut other = RxFrames::other(memory.registers());
         assert_eq!(other.read(), Some(frame(&[1, 2, 3, 4, 5, 6, 7, 8])));
         assert_eq!((memory.at(0x0C), memory.at(0x10)), (0, RFR_RFOM | RFR_FULL));
     }

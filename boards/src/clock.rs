@@ -8,12 +8,13 @@
 //! lock, and may be done at any priority. (The idea is that of `rtic_time::half_period_counter`, which masks
 //! interrupts between the two reads: with a turn of 18 minutes a reader may be interrupted there.)
 //!
-//! Waiting is done by the timer queue of `rtic-time`. The driver of `rtic-monotonics` is not used: its upper bits are
+//! Waiting is done by the timer queue of `rtic-time`, and for the calendar by an [alarm](crate::alarm) of its own. The driver of `rtic-monotonics` is not used: its upper bits are
 //! of 64 bits, behind a lock that spins and takes 2 KB of RAM, and its interrupt can panic.
 
 use core::future::pending;
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
+use crate::alarm::{Alarm, Compare};
 use cortex_m::peripheral::NVIC;
 use cosmic_core::time::{Duration, Instant};
 use rtic_time::timer_queue::{TimerQueue, TimerQueueBackend};
@@ -44,6 +45,12 @@ pub async fn until(instant: Instant, other: impl Future<Output = ()>) {
     let _ = QUEUE.timeout_at(timer(instant), other).await;
 }
 
+/// As [`until`], for the calendar task, which alone may call it: by a compare channel of its own.
+#[inline]
+pub async fn calendar_until(instant: Instant, other: impl Future<Output = ()>) {
+    CALENDAR.until::<Channel3>(timer(instant), other).await;
+}
+
 /// Starts the timer, behind a clock of this frequency, with its interrupt at a priority of RTIC's. Once.
 pub(crate) fn start(timer: TIM2, clock: u32, priority: u8) {
     timer.psc().write(|w| w.psc().set((clock / TICKS_PER_SECOND).saturating_sub(1) as u16));
@@ -52,7 +59,7 @@ pub(crate) fn start(timer: TIM2, clock: u32, priority: u8) {
     timer.cr1().write(|w| w.urs().set_bit());
     timer.egr().write(|w| w.ug().set_bit());
     timer.sr().write(|w| w);
-    timer.dier().write(|w| w.uie().set_bit().cc1ie().set_bit());
+    timer.dier().write(|w| w.uie().set_bit().cc1ie().set_bit().cc3ie().set_bit());
     timer.cr1().modify(|_, w| w.cen().set_bit());
     let levels = 1 << PRIORITY_BITS;
     let priority = (levels - priority.clamp(1, levels)) << (8 - PRIORITY_BITS);
@@ -110,6 +117,7 @@ impl TimerQueueBackend for Timer {
 
     #[inline]
     fn pend_interrupt() {
+        PENDED.store(true, Ordering::Release);
         NVIC::pend(Interrupt::TIM2);
     }
 
@@ -144,8 +152,32 @@ impl TimerQueueBackend for Timer {
 #[allow(non_snake_case, reason = "the name of the vector")]
 #[unsafe(no_mangle)]
 extern "C" fn TIM2() {
+    let flags = registers().sr().read().bits();
+    let is_pended = PENDED.swap(false, Ordering::Acquire);
+    if flags & CC3IF != 0 {
+        clear(CC3IF);
+        CALENDAR.ring();
+        if flags == CC3IF && !is_pended {
+            return;
+        }
+    }
     // SAFETY: this is the interrupt of the timer.
     unsafe { QUEUE.on_monotonic_interrupt() };
+}
+
+/// The compare channel of the calendar.
+struct Channel3;
+
+impl Compare for Channel3 {
+    #[inline]
+    fn ticks() -> u64 {
+        ticks()
+    }
+
+    #[inline]
+    fn set(low: u32) {
+        registers().ccr3().write(|w| w.ccr().set(low));
+    }
 }
 
 /// Clears a flag, and leaves the others as they are.
@@ -163,6 +195,9 @@ fn registers() -> &'static RegisterBlock {
 }
 
 static QUEUE: TimerQueue<Timer> = TimerQueue::new();
+static CALENDAR: Alarm = Alarm::new();
+/// The queue wants to be looked through.
+static PENDED: AtomicBool = AtomicBool::new(false);
 /// Halves of turns that the counter has gone through.
 static HALVES: AtomicU32 = AtomicU32::new(0);
 
@@ -171,3 +206,4 @@ const PRIORITY_BITS: u32 = 4;
 const UIF: u32 = 1 << 0;
 const CC1IF: u32 = 1 << 1;
 const CC2IF: u32 = 1 << 2;
+const CC3IF: u32 = 1 << 3;

@@ -20,6 +20,8 @@
 #[cfg(test)]
 extern crate std;
 
+#[cfg(any(target_arch = "arm", test))]
+mod alarm;
 pub mod bit_timing;
 pub mod bxcan;
 pub mod bxcan_rx;

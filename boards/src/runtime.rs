@@ -3,7 +3,7 @@
 use cosmic_core::can::{ErrorCounters, Frame, Mailbox, Outcome};
 use cosmic_rtic::board;
 
-use crate::bxcan_rx::{FIFO_DEPTH, Fifo, RxFrames};
+use crate::bxcan_rx::RxFrames;
 use crate::bxcan_status::{BusStatus, StatusChanges};
 use crate::bxcan_tx::{Class, TxMailbox, TxOutcomes};
 
@@ -26,8 +26,9 @@ impl board::TxOutcomes for TxOutcomes {
     }
 }
 
-impl<F: Fifo> board::RxFifo for RxFrames<F> {
-    const DEPTH: usize = FIFO_DEPTH;
+impl board::RxFifo for RxFrames {
+    // The interrupt stays pending while there are more: to come again costs less than to look.
+    const AT_ONCE: usize = 1;
 
     #[inline]
     fn read(&mut self) -> Option<Frame> {

@@ -20,7 +20,7 @@ use stm32f4xx_hal::time::Hertz;
 
 use crate::bit_timing::{APB1, BitTiming};
 use crate::bxcan::{Parts, SetUpError};
-use crate::bxcan_rx::{OtherFrames, UrgentFrames};
+use crate::bxcan_rx::RxFrames;
 use crate::bxcan_status::{BusStatus, StatusChanges};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::clock;
@@ -42,9 +42,9 @@ pub struct Stm32F4<W: Wiring> {
     /// For the interrupt `CAN1_TX`.
     pub outcomes: TxOutcomes,
     /// For the interrupt `CAN1_RX0`.
-    pub urgent: UrgentFrames,
+    pub urgent: RxFrames,
     /// For the interrupt `CAN1_RX1`.
-    pub other: OtherFrames,
+    pub other: RxFrames,
     /// For the interrupt `CAN1_SCE`.
     pub changes: StatusChanges,
     /// The error state of the controller.
@@ -236,8 +236,8 @@ impl<W: Wiring> Board for Stm32F4<W> {
     type Soft = SoftMailbox;
     type NonRealTime = NonRealTimeMailbox;
     type Outcomes = TxOutcomes;
-    type Urgent = UrgentFrames;
-    type Other = OtherFrames;
+    type Urgent = RxFrames;
+    type Other = RxFrames;
     type Status = BusStatus;
     type Changes = StatusChanges;
 
@@ -254,6 +254,11 @@ impl<W: Wiring> Board for Stm32F4<W> {
     #[inline]
     async fn until(instant: Instant, other: impl Future<Output = ()>) {
         clock::until(instant, other).await;
+    }
+
+    #[inline]
+    async fn calendar_until(instant: Instant, other: impl Future<Output = ()>) {
+        clock::calendar_until(instant, other).await;
     }
 
     fn split(self) -> BoardParts<Self> {

@@ -327,7 +327,7 @@ fn what_was_lost_below_is_told_and_counted() {
 fn run<S: Services>(half: &mut Half<S>, dispatcher: &mut Dispatcher<2>, now: Instant) {
     loop {
         match dispatcher.poll(now, half.hard_mut()) {
-            CalendarStep::Notify(buffer) => half.on_input(&Input::Notice(buffer), now),
+            CalendarStep::Notify(buffer) => _ = half.on_input(&Input::Notice(buffer), now),
             CalendarStep::SleepUntil(_) => break,
             CalendarStep::Command(_) | CalendarStep::Continue => {}
         }

@@ -91,7 +91,9 @@ impl<S: Services> Node<S> {
 
     /// Takes frames at this time, and returns what is sent then.
     fn hear(&mut self, now: Instant, frames: &[&str]) -> Vec<Frame> {
-        frames.iter().for_each(|frame| self.half.on_input(&Input::Frame(from_candump(frame)), now));
+        for frame in frames {
+            self.half.on_input(&Input::Frame(from_candump(frame)), now);
+        }
         self.poll(now)
     }
 

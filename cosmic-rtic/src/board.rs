@@ -43,6 +43,11 @@ pub trait Board: Sized + 'static {
         either(other, Self::delay_until(instant))
     }
 
+    /// As [`until`](Self::until), for the calendar task: a timer may have a way of its own for it, which is shorter.
+    fn calendar_until(instant: Instant, other: impl Future<Output = ()>) -> impl Future<Output = ()> {
+        Self::until(instant, other)
+    }
+
     /// Takes the board apart.
     fn split(self) -> BoardParts<Self>;
 }
@@ -84,8 +89,8 @@ pub trait TxOutcomes {
 
 /// A receive FIFO.
 pub trait RxFifo {
-    /// Frames that it holds at most. An interrupt reads as many, and comes again if there are more.
-    const DEPTH: usize;
+    /// So many frames an interrupt reads at most. It comes again if there are more.
+    const AT_ONCE: usize;
 
     /// The next frame, if there is one.
     fn read(&mut self) -> Option<Frame>;

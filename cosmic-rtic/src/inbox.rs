@@ -1,7 +1,7 @@
 //! How interrupts and the calendar task hand over to the event-triggered half: one queue without locks
 //! for each, and a signal that wakes it.
 
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use cosmic_core::event_half::Input;
 use cosmic_core::time::Instant;
@@ -26,9 +26,28 @@ pub(crate) struct Queues {
     wake_calendar: Signal,
 }
 
+/// Wakes the event task.
+pub(crate) struct Wake {
+    signal: Signal,
+    due: AtomicBool,
+}
+
+impl Wake {
+    const fn new() -> Self {
+        Self { signal: Signal::new(), due: AtomicBool::new(false) }
+    }
+
+    /// Something may be due, or earlier than was said.
+    #[inline]
+    pub(crate) fn something_due(&self) {
+        self.due.store(true, Ordering::Relaxed);
+        self.signal.raise();
+    }
+}
+
 /// What is counted on the way to the event-triggered half, and what wakes it.
 struct Counts {
-    wake: Signal,
+    wake: Wake,
     /// Items that found their queue full.
     lost: AtomicU32,
     /// Overruns of receive FIFOs.
@@ -73,7 +92,7 @@ pub(crate) struct Ends {
     pub(crate) notices: Sender,
     pub(crate) bus_off: BusOffSender,
     /// Wakes the event-triggered half.
-    pub(crate) wake: &'static Signal,
+    pub(crate) wake: &'static Wake,
     pub(crate) inbox: Inbox,
     /// Wakes the calendar task, to look at the slots again.
     pub(crate) wake_calendar: &'static Signal,
@@ -87,7 +106,7 @@ impl Queues {
             outcomes: Queue::new(),
             notices: Queue::new(),
             counts: Counts {
-                wake: Signal::new(),
+                wake: Wake::new(),
                 lost: AtomicU32::new(0),
                 overruns: AtomicU32::new(0),
                 times_off: AtomicU32::new(0),
@@ -123,8 +142,9 @@ impl Sender {
     pub(crate) fn send(&mut self, input: Input, at: Instant) {
         if !self.queue.put(Item { input, at }) {
             self.counts.lost.fetch_add(1, Ordering::Relaxed);
+            self.counts.wake.something_due();
         }
-        self.counts.wake.raise();
+        self.counts.wake.signal.raise();
     }
 
     /// Counts overruns of the FIFO that this is of.
@@ -132,7 +152,7 @@ impl Sender {
     pub(crate) fn count_overruns(&mut self, times: u32) {
         if times > 0 {
             self.counts.overruns.fetch_add(times, Ordering::Relaxed);
-            self.counts.wake.raise();
+            self.counts.wake.something_due();
         }
     }
 }
@@ -144,27 +164,41 @@ impl BusOffSender {
     }
 
     pub(crate) fn wake(&mut self) {
-        self.counts.wake.raise();
+        self.counts.wake.something_due();
     }
 }
 
 impl Inbox {
-    /// The next thing: outcomes first, since a mailbox is idle until its outcome is known; frames last.
+    /// Hands on the next thing, if there is one: outcomes first, since a mailbox is idle until its outcome is known; frames
+    /// last.
     #[inline]
-    pub(crate) fn take(&mut self) -> Option<Item> {
+    pub(crate) fn take<R>(&mut self, look: impl FnOnce(&Item) -> R) -> Option<R> {
         let Self { frames, urgent, outcomes, notices, .. } = self;
-        [outcomes, notices, urgent, frames].into_iter().find_map(Consumer::take)
+        // Which one is found first, so that what is done with it stands in the program once.
+        [outcomes, notices, urgent, frames].into_iter().find(|queue| queue.has_item())?.take(look)
     }
 
     /// Waits until something may have arrived.
     pub(crate) fn wait(&mut self) -> impl Future<Output = ()> {
-        self.counts.wake.wait()
+        self.counts.wake.signal.wait()
+    }
+
+    /// Returns whether something may be due, or earlier than was said, since the last call.
+    #[inline]
+    pub(crate) fn take_due(&mut self) -> bool {
+        // What comes between the two stays, and has woken again.
+        let due = &self.counts.wake.due;
+        due.load(Ordering::Relaxed) && due.swap(false, Ordering::Relaxed)
     }
 
     /// What was counted since the last call.
     #[inline]
     pub(crate) fn take_counted(&mut self) -> Counted {
-        let take = |count: &AtomicU32| count.swap(0, Ordering::Relaxed);
+        // Hardly ever is there any.
+        let take = |count: &AtomicU32| match count.load(Ordering::Relaxed) {
+            0 => 0,
+            _ => count.swap(0, Ordering::Relaxed),
+        };
         let Counts { lost, overruns, times_off, .. } = self.counts;
         Counted { lost: take(lost), overruns: take(overruns), times_off: take(times_off) }
     }

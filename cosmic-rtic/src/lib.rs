@@ -11,7 +11,7 @@
 //! | interrupt of the urgent FIFO | 6 | hard real-time frames into their buffers | [`Urgent`] |
 //! | transmit interrupt | 5 | what became of loaded frames | [`Outcomes`] |
 //! | status change interrupt | 5 | the controller has left the bus | [`Status`] |
-//! | interrupt of the other FIFO | 4 | other frames into a queue | [`Other`] |
+//! | interrupt of the other FIFO | 4 | other frames that may concern the node into a queue | [`Other`] |
 //! | events | 3 | EDF queue, promotion, non real-time queue, delivery to subscribers | [`Events`] |
 //! | application | 1, 2 | publishes, consumes, handles exceptions | [`Publisher`], [`Subscriber`], [`MessagePublisher`], [`MessageSubscriber`] |
 //!
@@ -46,6 +46,7 @@ mod log;
 pub mod messages;
 mod node;
 pub mod observer;
+mod sieve;
 mod signal;
 mod spsc;
 mod start;

@@ -193,7 +193,7 @@ where
         let now = T::Board::now();
         let (before, _) = publisher.last_fragment();
         let sent = self.half.send_message(now, publisher).map(|due| self.carry_out(due));
-        self.wake.raise();
+        self.wake.something_due();
         let (after, fragment) = publisher.last_fragment();
         if after != before {
             self.observer.published(fragments, &fragment, now, sent);

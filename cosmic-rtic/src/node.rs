@@ -17,8 +17,9 @@ use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
 
 use crate::board::{Board, BusStatus as _, TxMailbox as _};
 use crate::departures::Departures;
-use crate::inbox::Item;
+use crate::inbox::{Counted, Item, Wake};
 use crate::observer::{Observer as _, Observes};
+use crate::sieve::Sieve;
 use crate::signal::Signal;
 use crate::system::{self, Half, System, Timed as _};
 
@@ -33,7 +34,7 @@ pub struct Node<T: System> {
     pub(crate) status: <T::Board as Board>::Status,
     pub(crate) errors: ErrorCounters,
     /// Wakes the event task.
-    pub(crate) wake: &'static Signal,
+    pub(crate) wake: &'static Wake,
     pub(crate) wake_calendar: &'static Signal,
     pub(crate) sync_period: Duration,
     /// When the clock was first seen to be synchronised, if it is.
@@ -42,6 +43,7 @@ pub struct Node<T: System> {
     pub(crate) departures: Departures,
     pub(crate) discarded: u32,
     pub(crate) news_waker: Option<Waker>,
+    pub(crate) sieve: &'static Sieve,
     pub(crate) observer: T::Observer,
 }
 
@@ -53,7 +55,7 @@ impl<T: System> Node<T> {
 
     /// Asks something of the services.
     pub fn ask_services<R>(&mut self, ask: impl FnOnce(&mut T::Services) -> R) -> R {
-        self.wake.raise();
+        self.wake.something_due();
         ask(self.half.services_mut())
     }
 
@@ -106,9 +108,14 @@ impl<T: System> Node<T> {
         let now = T::Board::now();
         let result = self.half.publish(now, publication, event).map(|due| self.carry_out(due));
         // There may be more to do than could be done at once, or something to be done later.
-        self.wake.raise();
+        self.wake.something_due();
         self.observer.published(channel, &event.content, now, result);
         result
+    }
+
+    /// How many frames of others came that concern nobody here. Wraps.
+    pub fn foreign_frames(&self) -> u32 {
+        self.half.foreign_frames().wrapping_add(self.sieve.foreign())
     }
 
     /// What happened on a channel at this node.
@@ -133,6 +140,7 @@ impl<T: System> Node<T> {
         channel: &Channel<C>,
     ) -> Result<Publication<C>, AnnounceError> {
         let publication = self.half.announce(channel)?;
+        self.tell_interest();
         self.wake_both();
         Ok(publication)
     }
@@ -144,6 +152,7 @@ impl<T: System> Node<T> {
         policy: Policy,
     ) -> Result<Subscription<C>, SubscribeError> {
         let subscription = self.half.subscribe(channel, filter, policy)?;
+        self.tell_interest();
         self.wake_both();
         self.observer.subscribed(channel.subject(), filter, policy, T::Board::now());
         Ok(subscription)
@@ -204,20 +213,31 @@ impl<T: System> Node<T> {
         }
     }
 
-    /// Takes in what an interrupt or the calendar task has handed over.
+    /// Takes in what an interrupt or the calendar task has handed over. Returns whether something may be due now, or
+    /// earlier than was said.
     #[inline]
-    pub(crate) fn take_in(&mut self, item: &Item) {
-        self.half.on_input(&item.input, item.at);
+    pub(crate) fn take_in(&mut self, item: &Item) -> bool {
+        let due = self.half.on_input(&item.input, item.at);
         if let Input::Outcome(Mailbox::NonRealTime, _) = item.input {
             self.departures.wake();
         }
+        due
     }
 
-    /// Does what is due, and says when something will be, if nothing else happens.
+    /// Does what is due, and says when something will be, if nothing else happens. `counted` is what has been lost.
     ///
     /// Ends: each turn fills or empties one of two mailboxes, and an emptied one is filled only after its
     /// outcome was taken in.
-    pub(crate) fn attend(&mut self, now: Instant) -> Instant {
+    pub(crate) fn attend(&mut self, counted: &Counted, now: Instant) -> Instant {
+        if counted.lost > 0 {
+            self.half.on_input(&Input::Lost(counted.lost), now);
+        }
+        if counted.overruns > 0 {
+            self.half.on_input(&Input::Overrun(counted.overruns), now);
+        }
+        for _ in 0..counted.times_off {
+            self.half.on_input(&Input::BusOff, now);
+        }
         let errors = self.status.errors();
         if core::mem::replace(&mut self.errors, errors) != errors {
             self.half.on_input(&Input::Errors(errors), now);
@@ -228,6 +248,7 @@ impl<T: System> Node<T> {
                 Step::SleepUntil(instant) => break instant,
             }
         };
+        self.tell_interest();
         let discarded = [ExceptionKind::ValidityExpired, ExceptionKind::IdentifierLost]
             .into_iter()
             .fold(0, |sum: u32, kind| sum.wrapping_add(self.half.exceptions(kind)));
@@ -243,10 +264,18 @@ impl<T: System> Node<T> {
         next
     }
 
+    /// The interrupts let through what concerns the node now.
+    #[inline(never)]
+    fn tell_interest(&mut self) {
+        if let Some(interest) = self.half.take_interest() {
+            self.sieve.set(&interest);
+        }
+    }
+
     /// The calendar task has other slots, and the services more to say.
     pub(crate) fn wake_both(&mut self) {
         self.wake_calendar.raise();
-        self.wake.raise();
+        self.wake.something_due();
     }
 
     #[inline]

@@ -83,20 +83,26 @@ impl<T: Copy> Producer<T> {
 }
 
 impl<T: Copy> Consumer<T> {
-    /// Takes the item that has waited longest.
+    /// Returns whether an item waits.
     #[inline]
-    pub(crate) fn take(&mut self) -> Option<T> {
-        let ring = self.ring;
-        let taken = ring.taken.load(Ordering::Relaxed);
-        if ring.written.load(Ordering::Acquire) == taken {
+    pub(crate) fn has_item(&self) -> bool {
+        self.ring.written.load(Ordering::Acquire) != self.ring.taken.load(Ordering::Relaxed)
+    }
+
+    /// Takes the item that has waited longest, if there is one: `look` sees it where it is.
+    #[inline]
+    pub(crate) fn take<R>(&mut self, look: impl FnOnce(&T) -> R) -> Option<R> {
+        if !self.has_item() {
             return None;
         }
+        let ring = self.ring;
+        let taken = ring.taken.load(Ordering::Relaxed);
         let place = ring.place(taken)?;
         // SAFETY: `written` is beyond this place, so that the producer has written it, and does not write it again before
         // `taken` has gone on. There is no other consumer.
-        let item = unsafe { (*place.get()).assume_init_read() };
+        let seen = look(unsafe { (*place.get()).assume_init_ref() });
         ring.taken.store(taken.wrapping_add(1), Ordering::Release);
-        Some(item)
+        Some(seen)
     }
 }
 
@@ -119,8 +125,8 @@ mod tests {
         for turn in 0..3 {
             assert!((0..4).all(|n| producer.put(10 * turn + n)));
             assert!(!producer.put(99));
-            assert!((0..4).all(|n| consumer.take() == Some(10 * turn + n)));
-            assert_eq!(consumer.take(), None);
+            assert!((0..4).all(|n| consumer.take(|n| *n) == Some(10 * turn + n)));
+            assert_eq!(consumer.take(|n| *n), None);
         }
     }
 
@@ -132,7 +138,7 @@ mod tests {
         }
         let (mut producer, mut consumer) = ring.split();
         assert!(producer.put(1) && producer.put(2) && !producer.put(3));
-        assert_eq!([consumer.take(), consumer.take(), consumer.take()], [Some(1), Some(2), None]);
+        assert_eq!([(); 3].map(|()| consumer.take(|n| *n)), [Some(1), Some(2), None]);
     }
 
     #[test]
@@ -148,7 +154,7 @@ mod tests {
         });
         for n in 0..count {
             let taken = loop {
-                match consumer.take() {
+                match consumer.take(|n| *n) {
                     Some(taken) => break taken,
                     None => thread::yield_now(),
                 }

@@ -14,6 +14,7 @@ use crate::hard::{Hard, HardCell};
 use crate::inbox::Queues;
 use crate::node::Node;
 use crate::observer::Observer;
+use crate::sieve::Sieve;
 use crate::system::{Buffers, Half, StartError, System, Timed as _};
 use crate::tasks::{Calendar, Events, Other, Outcomes, Receiver, Status, Urgent};
 
@@ -21,6 +22,7 @@ use crate::tasks::{Calendar, Events, Other, Outcomes, Receiver, Status, Urgent};
 /// app, in the `local` resources of its `init`.
 pub struct Storage<T: System> {
     queues: Queues,
+    sieve: Sieve,
     hard: HardCell<Buffers<T>>,
     half: MaybeUninit<Half<T>>,
 }
@@ -28,7 +30,12 @@ pub struct Storage<T: System> {
 impl<T: System> Storage<T> {
     /// Nothing has happened yet.
     pub const fn new() -> Self {
-        Self { queues: Queues::new(), hard: HardCell::new(), half: MaybeUninit::uninit() }
+        Self {
+            queues: Queues::new(),
+            sieve: Sieve::new(),
+            hard: HardCell::new(),
+            half: MaybeUninit::uninit(),
+        }
     }
 }
 
@@ -92,7 +99,8 @@ pub fn start_with<T: System>(
     observer: T::Observer,
     calendar_observer: <T::Observer as Observer>::Calendar,
 ) -> Parts<T> {
-    let Storage { queues, hard, half } = storage;
+    let Storage { queues, sieve, hard, half } = storage;
+    let sieve: &'static Sieve = sieve;
     let hard = hard.start(<T::Capacity as Capacity>::BUFFERS);
     // Services whose time never changes do not tell it later.
     Hard::new(hard).with(|buffers| T::Capacity::set_clock(buffers, services.clock()));
@@ -109,10 +117,14 @@ pub fn start_with<T: System>(
             wakes: ends.wake_calendar,
             observer: calendar_observer,
         },
-        urgent: Urgent { receiver: Receiver { fifo: urgent, hard: Hard::new(hard), frames: ends.urgent } },
+        urgent: Urgent {
+            receiver: Receiver { fifo: urgent, hard: Hard::new(hard), sieve, frames: ends.urgent },
+        },
         outcomes: Outcomes { outcomes, hard: Hard::new(hard), left: ends.outcomes },
         status: Status { changes, bus_off: ends.bus_off },
-        other: Other { receiver: Receiver { fifo: other, hard: Hard::new(hard), frames: ends.frames } },
+        other: Other {
+            receiver: Receiver { fifo: other, hard: Hard::new(hard), sieve, frames: ends.frames },
+        },
         events: Events { inbox: ends.inbox },
         node: Node {
             half: half.write(T::Capacity::half(tx_node, plan.calendar, services, Hard::new(hard))),
@@ -127,6 +139,7 @@ pub fn start_with<T: System>(
             departures: Departures::NOBODY,
             discarded: 0,
             news_waker: None,
+            sieve,
             observer,
         },
     }

@@ -8,9 +8,10 @@ use cosmic_core::time::Instant;
 use rtic_core::Mutex;
 
 use crate::board::{Board, BusChanges as _, RxFifo, TxMailbox as _, TxOutcomes as _};
-use crate::inbox::{BusOffSender, Counted, Inbox, Item, Sender};
+use crate::inbox::{BusOffSender, Inbox, Sender};
 use crate::node::Node;
 use crate::observer::{CalendarObserver as _, Observer};
+use crate::sieve::Sieve;
 use crate::signal::Signal;
 use crate::system::{Access, Dispatcher, System};
 
@@ -37,6 +38,7 @@ pub struct Other<T: System> {
 pub(crate) struct Receiver<T: System, F> {
     pub(crate) fifo: F,
     pub(crate) hard: Access<T>,
+    pub(crate) sieve: &'static Sieve,
     pub(crate) frames: Sender,
 }
 
@@ -66,7 +68,7 @@ impl<T: System> Calendar<T> {
             let next = self.attend();
             self.observer.running(false);
             // Either will do: the instant has come, or there is another slot.
-            T::Board::until(next, self.wakes.wait()).await;
+            T::Board::calendar_until(next, self.wakes.wait()).await;
         }
     }
 
@@ -106,13 +108,16 @@ impl<T: System> Other<T> {
 }
 
 impl<T: System, F: RxFifo> Receiver<T, F> {
-    #[inline]
+    // Out of line: where both FIFOs are of one type, it stands in the program once.
+    #[inline(never)]
     fn run(&mut self) {
-        for _ in 0..F::DEPTH {
+        for _ in 0..F::AT_ONCE {
             // Before anything else, since this is the time-stamp.
             let received_at = T::Board::now();
             let Some(frame) = self.fifo.read() else { break };
-            if let Some(input) = T::Capacity::receive(&frame, received_at, &mut self.hard) {
+            if let Some(input) = T::Capacity::receive(&frame, received_at, &mut self.hard)
+                && self.sieve.passes(frame.id)
+            {
                 self.frames.send(input, received_at);
             }
         }
@@ -151,29 +156,31 @@ impl Events {
     /// Takes in what arrives and does what is due, for ever.
     pub async fn run<T: System>(&mut self, mut node: impl Mutex<T = Node<T>>) -> ! {
         loop {
-            // One lock for each item, so that the application waits for one only.
-            while let Some(item) = self.inbox.take() {
-                node.lock(|node| node.take_in(&item));
-            }
-            self.count(&mut node);
-            let next = node.lock(|node| node.attend(T::Board::now()));
-            // Either will do: the instant has come, or something has arrived.
-            T::Board::until(next, self.inbox.wait()).await;
+            let counted = self.inbox.take_counted();
+            let next = node.lock(|node| node.attend(&counted, T::Board::now()));
+            // An event that goes to its subscribers changes nothing of what is due, nor when: to ask for that, and to set
+            // the timer anew, would cost more than all else that is done for it.
+            let nothing_due = async {
+                loop {
+                    self.inbox.wait().await;
+                    if self.take_in(&mut node) {
+                        break;
+                    }
+                }
+            };
+            // Either will do: the instant has come, or something may be due.
+            T::Board::until(next, nothing_due).await;
         }
     }
 
-    fn count<T: System>(&mut self, node: &mut impl Mutex<T = Node<T>>) {
-        let Counted { lost, overruns, times_off } = self.inbox.take_counted();
-        let mut tell = |input| {
-            let item = Item { input, at: T::Board::now() };
-            node.lock(|node| node.take_in(&item));
-        };
-        if lost > 0 {
-            tell(Input::Lost(lost));
+    /// Takes in what has arrived. Returns whether something may be due now, or earlier than was said.
+    #[inline(never)]
+    fn take_in<T: System>(&mut self, node: &mut impl Mutex<T = Node<T>>) -> bool {
+        let mut due = self.inbox.take_due();
+        // One lock for each item, so that the application waits for one only.
+        while let Some(is_due) = self.inbox.take(|item| node.lock(|node| node.take_in(item))) {
+            due |= is_due;
         }
-        if overruns > 0 {
-            tell(Input::Overrun(overruns));
-        }
-        (0..times_off).for_each(|_| tell(Input::BusOff));
+        due
     }
 }

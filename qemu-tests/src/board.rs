@@ -73,7 +73,7 @@ impl TxOutcomes for Machine {
 }
 
 impl<const FIFO: usize> RxFifo for Receive<FIFO> {
-    const DEPTH: usize = FIFO_DEPTH;
+    const AT_ONCE: usize = FIFO_DEPTH;
 
     fn read(&mut self) -> Option<Frame> {
         with_hardware(|hardware| hardware.receive(FIFO))

@@ -177,11 +177,11 @@ impl Node {
                     self.half.cancel_subscription(subscription);
                 }
             }
-            42 => self.half.on_input(&Input::BusOff, now),
-            44 if of & 1 == 0 => self.half.on_input(&Input::Lost(of.into()), now),
-            44 => self.half.on_input(&Input::Overrun(of.into()), now),
+            42 => _ = self.half.on_input(&Input::BusOff, now),
+            44 if of & 1 == 0 => _ = self.half.on_input(&Input::Lost(of.into()), now),
+            44 => _ = self.half.on_input(&Input::Overrun(of.into()), now),
             43 => self.half.services_mut().release(),
-            _ => self.half.on_input(&Input::Errors(ErrorCounters { transmit: of, receive: of }), now),
+            _ => _ = self.half.on_input(&Input::Errors(ErrorCounters { transmit: of, receive: of }), now),
         }
     }
 
@@ -200,7 +200,7 @@ impl Node {
     fn dispatch(&mut self, now: Instant) -> Option<()> {
         match self.dispatcher.poll(now, self.half.hard_mut()) {
             hard::CalendarStep::Command(command) => self.execute(command),
-            hard::CalendarStep::Notify(buffer) => self.half.on_input(&Input::Notice(buffer), now),
+            hard::CalendarStep::Notify(buffer) => _ = self.half.on_input(&Input::Notice(buffer), now),
             hard::CalendarStep::Continue => {}
             hard::CalendarStep::SleepUntil(at) => {
                 assert!(at > now, "the dispatcher wakes at {at:?}, which is not behind {now:?}");

@@ -1,6 +1,6 @@
 //! Nodes of any size: for runtimes, which are written once for all of them.
 
-use super::{Due, EventHalf, HardAccess, Input, Step, outcome, receive};
+use super::{Due, EventHalf, HardAccess, Input, Interest, Step, outcome, receive};
 use crate::calendar::Calendar;
 use crate::can::{Frame, Mailbox, Outcome, Payload, TxNode};
 use crate::event_layer::{
@@ -194,7 +194,7 @@ pub trait Half {
     type Services: Services;
 
     /// As [`EventHalf::on_input`].
-    fn on_input(&mut self, input: &Input, at: Instant);
+    fn on_input(&mut self, input: &Input, at: Instant) -> bool;
 
     /// As [`EventHalf::poll`].
     fn poll(&mut self, now: Instant) -> Step;
@@ -288,6 +288,9 @@ pub trait Half {
     /// As [`EventHalf::channel_counters`].
     fn channel_counters(&self, subject: Subject) -> Option<ChannelCounters>;
 
+    /// As [`EventHalf::take_interest`].
+    fn take_interest(&mut self) -> Option<Interest>;
+
     /// As [`EventHalf::foreign_frames`].
     fn foreign_frames(&self) -> u32;
 
@@ -309,7 +312,7 @@ impl<
     type Services = S;
 
     #[inline]
-    fn on_input(&mut self, input: &Input, at: Instant) {
+    fn on_input(&mut self, input: &Input, at: Instant) -> bool {
         Self::on_input(self, input, at)
     }
 
@@ -412,6 +415,10 @@ impl<
 
     fn channel_counters(&self, subject: Subject) -> Option<ChannelCounters> {
         Self::channel_counters(self, subject)
+    }
+
+    fn take_interest(&mut self) -> Option<Interest> {
+        Self::take_interest(self)
     }
 
     fn foreign_frames(&self) -> u32 {

@@ -3,7 +3,7 @@
 use super::{EventHalf, HardAccess, Input, Own, PUBLISHES, SERVICES, Step};
 use crate::calendar::Slot;
 use crate::can::{Command, Frame, Mailbox, Outcome, Priority, TxNode};
-use crate::event_layer::{Exception, ExceptionKind, Received};
+use crate::event_layer::{Accepted, Exception, ExceptionKind, Received};
 use crate::network::hard::{BufferId, Counters, HrtBuffers};
 use crate::network::soft::{self, Tag};
 use crate::services::{NodeView, Request, Services};
@@ -21,7 +21,9 @@ impl<
     H: HardAccess<HrtBuffers<SLOTS>>,
 > EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
 {
-    /// Takes in what has happened since the last call, at this instant.
+    /// Takes in what has happened since the last call, at this instant. Returns whether something may be due now, or earlier
+    /// than [`poll`](Self::poll) has said: an event that went to its subscribers, or one that was foreign, leaves that as it
+    /// was.
     ///
     /// | input | work |
     /// |---|---|
@@ -30,7 +32,7 @@ impl<
     /// | the others | O(1), and as a frame for an event that has become visible |
     // In the task of the event half, where it is called once.
     #[inline(always)]
-    pub fn on_input(&mut self, input: &Input, at: Instant) {
+    pub fn on_input(&mut self, input: &Input, at: Instant) -> bool {
         match input {
             Input::Frame(frame) => self.on_frame(frame, at),
             other => self.on_other(other, at),
@@ -39,35 +41,39 @@ impl<
 
     /// Out of line, so that the way of a frame is short.
     #[inline(never)]
-    fn on_other(&mut self, input: &Input, at: Instant) {
+    fn on_other(&mut self, input: &Input, at: Instant) -> bool {
         match *input {
             // Taken by the caller.
             Input::Frame(_) => {}
             Input::Outcome(mailbox, outcome) => self.on_outcome(mailbox, outcome, at),
-            Input::Notice(buffer) if SLOTS > 0 => self.on_notice(buffer, at),
+            Input::Notice(buffer) if SLOTS > 0 => return self.on_notice(buffer, at),
             Input::Notice(_) => {}
             Input::Lost(times) => self.raise_times(None, ExceptionKind::InputLost, times, at),
             Input::Overrun(times) => self.raise_times(None, ExceptionKind::ReceiveOverrun, times, at),
             Input::BusOff => self.raise(None, ExceptionKind::BusOff, at),
             Input::Errors(errors) => self.view.errors = errors,
         }
+        true
     }
 
     /// As [`on_input`](Self::on_input) with [`Input::Frame`], for a host that has not put the frame into a queue:
     /// saves looking what it is.
     #[inline(always)]
-    pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
-        match self.layer.receive(frame, received_at) {
-            Received::Delivered => {}
+    pub fn on_frame(&mut self, frame: &Frame, received_at: Instant) -> bool {
+        let due = match self.layer.receive(frame, received_at) {
+            Received::Delivered => false,
             Received::Foreign => return self.reject(frame, received_at),
-            Received::Undelivered => self.deliver(frame, received_at),
-        }
+            Received::Undelivered(tag) => self.deliver(tag, frame, received_at),
+        };
         if self.is_mine(frame) {
             // No node hears itself: another one uses this TxNode.
             self.services.on_frame(frame, received_at);
-        } else if S::WATCHES_EVENTS {
+            return true;
+        }
+        if S::WATCHES_EVENTS {
             self.services.on_event(frame.id, received_at);
         }
+        due || S::WATCHES_EVENTS
     }
 
     /// As [`on_input`](Self::on_input), for a hard real-time frame at a host whose clock is not good enough for the
@@ -85,12 +91,7 @@ impl<
         match self.layer.receive_hard(frame, received_at) {
             Received::Delivered => {}
             Received::Foreign => self.foreign = self.foreign.wrapping_add(1),
-            Received::Undelivered => {
-                if let Some(route) = self.layer.route_of(id.etag()) {
-                    let accepted = self.layer.deliver(route.tag, frame, received_at);
-                    self.note(accepted, received_at);
-                }
-            }
+            Received::Undelivered(tag) => _ = self.deliver(tag, frame, received_at),
         }
         true
     }
@@ -108,24 +109,25 @@ impl<
         }
     }
 
-    /// Something has happened to an HRT message buffer.
-    fn on_notice(&mut self, buffer: BufferId, now: Instant) {
-        let (delivery, counters) = self.hard.with(|buffers| (buffers.take(buffer), buffers.counters(buffer)));
+    /// Something has happened to an HRT message buffer. Returns whether something may be due.
+    fn on_notice(&mut self, buffer: BufferId, now: Instant) -> bool {
+        let mut due = false;
+        let Some(seen) = self.seen.get_mut(buffer.index()) else { return due };
+        let (delivery, exceptional) =
+            self.hard.with(|buffers| (buffers.take(buffer), buffers.exceptional(buffer, seen)));
         if let Some(delivery) = delivery {
             let frame = delivery.frame();
-            if let Received::Undelivered = self.layer.receive_hard(&frame, now) {
-                self.deliver(&frame, now);
+            if let Received::Undelivered(tag) = self.layer.receive_hard(&frame, now) {
+                due = self.deliver(tag, &frame, now);
             }
         }
-        let Some(counters) = counters else { return };
-        let Some(seen) = self.seen.get_mut(buffer.index()) else { return };
-        let before = core::mem::replace(seen, counters);
-        let mut pairs = before.exceptional().into_iter().zip(counters.exceptional());
-        if pairs.any(|(before, after)| before != after) {
+        if let Some((before, counters)) = exceptional {
             let (mismatch, etag) = self.hard.with(|buffers| (buffers.is_inhibited(), buffers.etag(buffer)));
             let subject = etag.and_then(|etag| self.layer.subject_of(etag));
             self.raise_hard(subject, (&before, &counters), mismatch, now);
+            due = true;
         }
+        due
     }
 
     /// Raises what has happened in the slots of a buffer.
@@ -307,24 +309,24 @@ impl<
     }
 
     #[inline]
-    fn reject(&mut self, frame: &Frame, received_at: Instant) {
+    fn reject(&mut self, frame: &Frame, received_at: Instant) -> bool {
         if frame.id.etag().is_reserved() || self.is_mine(frame) {
             self.services.on_frame(frame, received_at);
-        } else {
-            if S::WATCHES_EVENTS {
-                self.services.on_event(frame.id, received_at);
-            }
-            self.foreign = self.foreign.wrapping_add(1);
+            return true;
         }
+        if S::WATCHES_EVENTS {
+            self.services.on_event(frame.id, received_at);
+        }
+        self.foreign = self.foreign.wrapping_add(1);
+        S::WATCHES_EVENTS
     }
 
-    /// The long way: out of line, and the channel is looked up again, so that the short one needs fewer
-    /// registers.
+    /// The long way: out of line, so that the short one needs fewer registers. Returns whether something may be due: an exception, or the next event is awaited earlier.
     #[inline(never)]
-    fn deliver(&mut self, frame: &Frame, received_at: Instant) {
-        if let Some(route) = self.layer.route_of(frame.id.etag()) {
-            let accepted = self.layer.deliver(route.tag, frame, received_at);
-            self.note(accepted, received_at);
-        }
+    fn deliver(&mut self, tag: Tag, frame: &Frame, received_at: Instant) -> bool {
+        let awaited = self.layer.next_overdue();
+        let accepted = self.layer.deliver(tag, frame, received_at);
+        self.note(accepted, received_at);
+        accepted != Accepted::Delivered || self.layer.next_overdue() < awaited
     }
 }

@@ -24,10 +24,12 @@ mod capacity;
 mod channels;
 mod drive;
 mod input;
+mod interest;
 
 pub use crate::event_layer::Delivered;
 pub use capacity::{Capacity, Half, Sizes};
 pub use input::{Input, outcome, receive};
+pub use interest::Interest;
 
 use crate::calendar::Calendar;
 use crate::can::{Command, ErrorCounters, TxNode};
@@ -230,6 +232,16 @@ impl<
     /// What went through the soft and non real-time path.
     pub fn etch_counters(&self) -> EtchCounters {
         self.etch.counters()
+    }
+
+    /// What received frames may concern this node, if that has changed since the last call. A host may keep any other
+    /// to itself, and count it as foreign.
+    pub fn take_interest(&mut self) -> Option<Interest> {
+        if !self.layer.take_renamed() {
+            return None;
+        }
+        // A broker looks at the traffic of all.
+        Some(if S::WATCHES_EVENTS { Interest::ALL } else { Interest::of(self.own.get(), self.layer.etags()) })
     }
 
     /// How many received frames concerned nobody here. Wraps.

@@ -385,7 +385,7 @@ pub(super) struct Subscriber {
     /// The next subscription to the same channel.
     pub(super) next: u8,
     /// As long as fewer than this wait, an event needs no closer look: the subscriber takes every one,
-    /// first in first out, and nobody is to be woken.
+    /// first in first out.
     pub(super) takes_any: u8,
     pub(super) filter: Filter,
     pub(super) policy: Policy,
@@ -408,26 +408,29 @@ impl Subscriber {
     };
 
     pub(super) fn new(channel: u8, next: u8, filter: Filter, policy: Policy) -> Self {
-        let mut new = Self { channel, next, filter, policy, ..Self::VACANT };
-        new.set_waker(None);
-        new
+        let takes_any = match policy {
+            Policy::Fifo(depth) if filter == Filter::ALL => depth.get(),
+            _ => 0,
+        };
+        Self { channel, next, takes_any, filter, policy, ..Self::VACANT }
     }
 
     pub(super) const fn is_vacant(&self) -> bool {
         self.channel == NONE
     }
 
-    pub(super) fn set_waker(&mut self, waker: Option<Waker>) {
-        self.takes_any = match self.policy {
-            Policy::Fifo(depth) if waker.is_none() && self.filter == Filter::ALL => depth.get(),
-            _ => 0,
-        };
-        self.waker = waker;
+    /// Wakes the task that waits for an event, if one does.
+    #[inline]
+    pub(super) fn wake(&mut self) {
+        if self.waker.is_some() {
+            self.wake_task();
+        }
     }
 
-    pub(super) fn wake(&mut self) {
+    /// Out of line, so that the way of an event that nobody waits for is short.
+    #[inline(never)]
+    fn wake_task(&mut self) {
         if let Some(waker) = self.waker.take() {
-            self.set_waker(None);
             waker.wake();
         }
     }

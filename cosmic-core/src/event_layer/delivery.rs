@@ -5,7 +5,7 @@ use super::content::Content;
 use super::filter::Context;
 use super::pool::{Pool, PoolFull, Waiting};
 use crate::can::{Frame, Id, TxNode};
-use crate::network::soft::PriorityMap;
+use crate::network::soft::{PriorityMap, Tag};
 use crate::time::Instant;
 use crate::uid::Subject;
 
@@ -33,8 +33,8 @@ pub(crate) enum Received {
     /// It belongs to no channel that is known here.
     Foreign,
     Delivered,
-    /// It belongs to a channel, and is still to be delivered.
-    Undelivered,
+    /// It belongs to this channel, and is still to be delivered.
+    Undelivered(Tag),
 }
 
 /// What happened to a frame that was offered to the layer.

@@ -35,6 +35,8 @@ pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const E
     pub(super) channels: [Option<Entry>; CHANNELS],
     /// No event is overdue before this instant.
     pub(super) first_overdue: Instant,
+    /// Other etags mean something here since this was asked last, or the node has another TxNode.
+    renamed: bool,
 }
 
 impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
@@ -54,11 +56,13 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             subscribers: [Subscriber::VACANT; SUBSCRIPTIONS],
             pool: Pool::new(),
             first_overdue: Instant::FAR_FUTURE,
+            renamed: true,
         }
     }
 
     /// The node has been given its TxNode, or lost it.
     pub fn set_tx_node(&mut self, tx_node: Option<TxNode>) {
+        self.renamed |= self.tx_node != tx_node;
         self.tx_node = tx_node;
         for at in 0..CHANNELS {
             self.update(at as u8);
@@ -169,6 +173,16 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         last
     }
 
+    /// Returns whether other etags mean something here since the last call, or the node has another TxNode.
+    pub(crate) fn take_renamed(&mut self) -> bool {
+        core::mem::take(&mut self.renamed)
+    }
+
+    /// The etags that mean something here.
+    pub(crate) fn etags(&self) -> impl Iterator<Item = Etag> {
+        self.channels.iter().flatten().filter_map(|entry| entry.etag)
+    }
+
     /// Where events with this etag go, if that is anywhere here. One map look-up.
     #[inline]
     pub(crate) fn route_of(&self, etag: Etag) -> Option<Route> {
@@ -195,13 +209,14 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     fn receive_as(&mut self, key: u32, frame: &Frame, received_at: Instant) -> Received {
         let Some(route) = self.by_etag.get(key).map(Route::decode) else { return Received::Foreign };
         let Some(subscriber) = self.subscribers.get_mut(usize::from(route.only)) else {
-            return Received::Undelivered;
+            return Received::Undelivered(route.tag);
         };
         let list = &mut subscriber.list;
         if list.len() >= subscriber.takes_any || list.push(&mut self.pool, frame, received_at).is_err() {
-            return Received::Undelivered;
+            return Received::Undelivered(route.tag);
         }
         subscriber.delivered = subscriber.delivered.wrapping_add(1);
+        subscriber.wake();
         Received::Delivered
     }
 
@@ -283,7 +298,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     /// Has the waker woken by the next event of the subscription.
     pub(crate) fn set_waker<C>(&mut self, subscription: &Subscription<C>, waker: &Waker) {
         if let Some(subscriber) = self.subscribers.get_mut(usize::from(subscription.index)) {
-            subscriber.set_waker(Some(waker.clone()));
+            subscriber.waker = Some(waker.clone());
         }
     }
 
@@ -312,6 +327,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if let Some(former) = former {
             self.by_etag.remove(key(former));
         }
+        self.renamed = true;
         self.update(at as u8);
     }
 
@@ -437,6 +453,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if let Some(former) = former {
             self.by_etag.remove(key(former));
         }
+        self.renamed = true;
         let route = Route { tag: Tag(at), only: NONE };
         self.by_etag.insert(key(etag), route.encode()).map_err(|_| AnnounceError::TooManyChannels)?;
         if let Some(entry) = self.entry_mut(at) {
@@ -480,6 +497,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         }
         if let Some(etag) = etag {
             self.by_etag.remove(key(etag));
+            self.renamed = true;
         }
     }
 }

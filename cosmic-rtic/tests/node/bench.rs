@@ -26,6 +26,7 @@ thread_local! {
     pub(crate) static OUTCOMES: RefCell<VecDeque<(Mailbox, Outcome)>> = const { RefCell::new(VecDeque::new()) };
     pub(crate) static RECEIVED: RefCell<VecDeque<Frame>> = const { RefCell::new(VecDeque::new()) };
     pub(crate) static LOSSES: Cell<u32> = const { Cell::new(0) };
+    pub(crate) static TURNS: Cell<u32> = const { Cell::new(0) };
     pub(crate) static IS_OFF: Cell<bool> = const { Cell::new(false) };
 }
 
@@ -49,7 +50,7 @@ impl TxOutcomes for Bench {
 }
 
 impl RxFifo for Bench {
-    const DEPTH: usize = 3;
+    const AT_ONCE: usize = 3;
 
     fn read(&mut self) -> Option<Frame> {
         RECEIVED.with_borrow_mut(VecDeque::pop_front)
@@ -123,6 +124,10 @@ pub(crate) struct Notes(pub(crate) Vec<String>);
 
 impl Observer for Notes {
     type Calendar = ();
+
+    fn attended(&mut self) {
+        TURNS.set(TURNS.get() + 1);
+    }
 
     fn exception(&mut self, exception: &Exception) {
         self.0.push(format!("{:?}", exception.kind));

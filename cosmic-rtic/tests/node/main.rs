@@ -7,10 +7,12 @@ mod readme;
 
 use std::cell::RefCell;
 use std::pin::pin;
-use std::task::{Context, Poll, Waker};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::task::{Context, Poll, Wake, Waker};
 
 use bench::*;
-use cosmic_core::can::{Mailbox, Outcome};
+use cosmic_core::can::{Frame, Id, Mailbox, Outcome, Payload, Priority};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::plan::NodePlan;
 use cosmic_core::seal::Seal;
@@ -57,6 +59,53 @@ fn received_frames_reach_the_subscriber_from_both_fifos() {
     assert_eq!(notes(&node), ["delivered 8", "delivered 7"]);
 }
 
+/// Counts how often a task is woken.
+#[derive(Default)]
+struct Woken(AtomicU32);
+
+impl Wake for Woken {
+    fn wake(self: Arc<Self>) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn a_frame_costs_no_more_than_it_concerns() {
+    let Parts { node, mut events, mut other, .. } = parts();
+    let node = RefCell::new(node);
+    let mut task = pin!(events.run(Resource(&node)));
+    let woken = Arc::new(Woken::default());
+    let waker = Waker::from(Arc::clone(&woken));
+    let mut receive = |frame| {
+        RECEIVED.with_borrow_mut(|received| received.push_back(frame));
+        other.run();
+        woken.0.swap(0, Ordering::Relaxed)
+    };
+    // Polls the event task; how often has it asked what is due?
+    let mut run = || {
+        assert!(task.as_mut().poll(&mut Context::from_waker(&waker)).is_pending());
+        TURNS.take()
+    };
+    assert_eq!(run(), 1);
+    // Nobody is subscribed to the channel: the event task sleeps on.
+    assert_eq!((receive(frame(1)), run(), node.borrow().foreign_frames()), (0, 0, 1));
+    // Another node has this one's TxNode: that concerns the services.
+    let of_own = Frame::new(Id::new(Priority::new(100), OWN, ETAG), Payload::EMPTY);
+    assert_eq!((receive(of_own), run()), (1, 1));
+    let heat = Subscriber::subscribe(&HEAT, QUEUE, &mut Resource(&node)).unwrap();
+    assert_eq!((woken.0.swap(0, Ordering::Relaxed), run()), (1, 1));
+    // An event is delivered, and nothing more is due than before.
+    assert_eq!((receive(frame(2)), run()), (1, 0));
+    assert_eq!(heat.try_next(&mut Resource(&node)).unwrap().content, 2);
+    // What is published may not have found the mailbox empty.
+    let publisher = Publisher::announce(&HEAT, &mut Resource(&node)).unwrap();
+    assert_eq!(run(), 1);
+    publisher.publish(3, &mut Resource(&node)).unwrap();
+    assert_eq!(run(), 1);
+    assert_eq!(node.borrow().foreign_frames(), 1);
+    LOADED.take();
+}
+
 #[test]
 fn what_a_fifo_or_a_queue_loses_becomes_exceptions() {
     let Parts { node, mut events, mut urgent, .. } = parts();
@@ -65,6 +114,7 @@ fn what_a_fifo_or_a_queue_loses_becomes_exceptions() {
     urgent.run();
     run_events(&mut events, &node);
     assert_eq!(exceptions(&node, ExceptionKind::ReceiveOverrun), 2);
+    let _heat = Subscriber::subscribe(&HEAT, QUEUE, &mut Resource(&node)).unwrap();
     // The queue of the urgent FIFO has eight places.
     for _ in 0..3 {
         RECEIVED.with_borrow_mut(|received| received.extend([frame(1), frame(2), frame(3)]));

@@ -86,7 +86,7 @@ impl Node {
         loop {
             match self.dispatcher.poll(now, self.half.hard_mut()) {
                 CalendarStep::Command(command) => self.chip.execute(&command, now).unwrap(),
-                CalendarStep::Notify(buffer) => self.half.on_input(&Input::Notice(buffer), now),
+                CalendarStep::Notify(buffer) => _ = self.half.on_input(&Input::Notice(buffer), now),
                 CalendarStep::Continue => {}
                 CalendarStep::SleepUntil(_) => break,
             }

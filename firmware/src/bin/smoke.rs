@@ -10,7 +10,7 @@ use cosmic_rtt as _;
 
 #[rtic::app(device = boards::pac, dispatchers = [SPI1, SPI2])]
 mod app {
-    use boards::bxcan_rx::{FIFO_DEPTH, OtherFrames, UrgentFrames};
+    use boards::bxcan_rx::{FIFO_DEPTH, RxFrames};
     use boards::bxcan_tx::{SoftMailbox, TxOutcomes};
     use boards::clock;
     use boards::stm32f4::{MeasuringPoint, Settings};
@@ -35,8 +35,8 @@ mod app {
         point: MeasuringPoint<12>,
         soft: SoftMailbox,
         outcomes: TxOutcomes,
-        urgent: UrgentFrames,
-        other: OtherFrames,
+        urgent: RxFrames,
+        other: RxFrames,
     }
 
     #[init]

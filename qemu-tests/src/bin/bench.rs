@@ -302,7 +302,7 @@ fn receive<const CHANNELS: usize>(channels: &str, number: u16) {
         bench(
             Name(what, channels),
             subscriber,
-            move |node, _| node.half.on_frame(&foreign, received_at),
+            move |node, _| _ = node.half.on_frame(&foreign, received_at),
             |node, _: &(_, Option<Delivered<_>>)| node.half.foreign_frames() == 1,
         );
     }

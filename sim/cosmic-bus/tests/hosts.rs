@@ -160,7 +160,7 @@ impl Host {
             let calendar = loop {
                 match self.dispatcher.poll(now, self.half.hard_mut()) {
                     hard::CalendarStep::Command(command) => self.execute(command, now),
-                    hard::CalendarStep::Notify(buffer) => self.half.on_input(&Input::Notice(buffer), now),
+                    hard::CalendarStep::Notify(buffer) => _ = self.half.on_input(&Input::Notice(buffer), now),
                     hard::CalendarStep::Continue => {}
                     hard::CalendarStep::SleepUntil(instant) => break instant,
                 }

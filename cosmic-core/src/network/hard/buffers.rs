@@ -179,6 +179,18 @@ impl<const N: usize> HrtBuffers<N> {
         Some(self.buffer(id.0)?.counters)
     }
 
+    /// What has happened in the slots of this buffer, if some of it is exceptional that was not in `seen`; and what that was
+    /// before.
+    #[inline]
+    pub(crate) fn exceptional(&self, id: BufferId, seen: &mut Counters) -> Option<(Counters, Counters)> {
+        let counters = &self.buffer(id.0)?.counters;
+        let mut pairs = counters.exceptional().into_iter().zip(seen.exceptional());
+        if pairs.all(|(now, before)| now == before) {
+            return None;
+        }
+        Some((core::mem::replace(seen, *counters), *counters))
+    }
+
     /// The present copy of the clock's parameters.
     #[inline]
     pub const fn clock(&self) -> &GlobalClock {

@@ -368,8 +368,9 @@ impl<const N: usize> Dispatcher<N> {
     }
 
     fn earliest(&self) -> Option<(u8, Occurrence)> {
-        let waiting = (0..).zip(&self.occurrences).filter_map(|(at, occurrence)| Some((at, (*occurrence)?)));
-        waiting.min_by_key(|(_, occurrence)| occurrence.due)
+        let waiting = (0..).zip(&self.occurrences).filter_map(|(at, place)| Some((place.as_ref()?.due, at)));
+        let (_, at) = waiting.min()?;
+        Some((at, (*self.occurrences.get(usize::from(at))?)?))
     }
 }
 

@@ -104,7 +104,8 @@ pub(crate) fn suspension() -> Id {
 
 /// An identifier of nobody in any plan. Its etag is one that brokers give, so that the filters of nodes that ask one for
 /// their etags let it pass.
-pub(crate) const FOREIGN: Id = Id::new(Priority::LEAST, TxNode::MAX, Etag::new(0x2A5A).unwrap());
+pub(crate) const FOREIGN: Id =
+    Id::new(Priority::LEAST, TxNode::new(100).unwrap(), Etag::new(0x2A5A).unwrap());
 
 /// Cycles of a core in a second.
 pub(crate) const CORE_HERTZ: u64 = 168_000_000;

@@ -7,3 +7,4 @@
 mod bed;
 mod cycles;
 mod load;
+mod profile;
