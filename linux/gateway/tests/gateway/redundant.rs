@@ -219,3 +219,25 @@ async fn in_a_ring_of_three_segments_an_event_comes_once_to_each() {
     // The other gateway of each segment has seen them, and has left them there.
     assert!(of_gateways > 0);
 }
+
+/// On a machine that is busy it may lead again in a moment; to declare all anew each time would keep it busy for good.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_loses_the_lead_keeps_for_a_while_what_it_has_declared() {
+    let bus = Segment::start().await;
+    let (listen, connect) = (port(), &[]);
+    let channels = &format!("{HEAT_TABLE}unasked = [\"west\"]\n");
+    let setup = Setup { segment: "west", bus: &bus, tx_node: 100, listen, connect, more: ETAGS, channels };
+    let gateway = setup.start().await;
+    let stranger = Stranger::start(listen, "stranger").await;
+    let key = stranger.keys.event(HEAT.subject(), &stranger.segment);
+    let publisher = stranger.session.declare_publisher(key).await.unwrap();
+    let is_wanted = || zenoh::Wait::wait(publisher.matching_status()).unwrap().matching();
+    until("it subscribes on IP", || gateway.leads(&name("west")) && is_wanted()).await;
+    let begun = tokio::time::Instant::now();
+    drop(bus);
+    until("it does not lead any more", || !gateway.leads(&name("west"))).await;
+    // Longer than it may take to look at that.
+    tokio::time::sleep(Span::from_millis(1500)).await;
+    assert!(is_wanted() || begun.elapsed() > Span::from_secs(4));
+    until("it has given up", || !is_wanted()).await;
+}
