@@ -126,6 +126,7 @@ impl Entry {
     }
 
     /// How many events have not come by now that should have.
+    #[expect(clippy::arithmetic_side_effects, reason = "an interval is not zero")]
     pub(super) fn take_overdue(&mut self, now: Instant) -> u32 {
         let Some(rate) = self.declared.rate else { return 0 };
         if now < self.overdue_at || self.overdue_at == Instant::FAR_FUTURE {
