@@ -73,6 +73,10 @@ impl Terminal {
                 self.raw.extend(bytes);
             }
             if let Some(status) = self.child.try_wait().unwrap() {
+                // What it wrote last may still be on its way; behind it the reader ends.
+                while let Ok(bytes) = self.bytes.recv_timeout(Duration::from_secs(60)) {
+                    self.raw.extend(bytes);
+                }
                 return status.exit_code();
             }
             assert!(begun.elapsed() < Duration::from_secs(60), "it does not end");

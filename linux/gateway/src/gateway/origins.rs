@@ -14,8 +14,9 @@ use std::time::Duration as Span;
 use tokio::time::Instant;
 use zenoh::key_expr::KeyExpr;
 
-use super::hub::Hub;
+use crate::config::ChannelConfig;
 use crate::keys::Name;
+use crate::network::Network;
 
 /// The segments from which events have come.
 pub(super) struct Origins {
@@ -64,15 +65,15 @@ struct OfSegment {
 
 impl Declared {
     /// Declares what is new, and gives up what is of no use any more. Work: a look at each segment, and what has changed.
-    pub(super) async fn keep(&mut self, hub: &Hub) {
-        let new = std::mem::take(&mut *lock(&hub.origins.new));
+    pub(super) async fn keep(&mut self, origins: &Origins, channels: &[ChannelConfig], network: &Network) {
+        let new = std::mem::take(&mut *lock(&origins.new));
         for (channel, segment) in new {
             // Events cross without, too.
             if self.count >= MOST {
                 continue;
             }
-            let key = hub.network.keys.event(hub.channels[channel].subject, &segment);
-            match hub.network.session.declare_keyexpr(key).await {
+            let key = network.keys.event(channels[channel].subject, &segment);
+            match network.session.declare_keyexpr(key).await {
                 Ok(key) => {
                     self.of.entry(segment).or_default().keys.push(key);
                     self.count += 1;
@@ -81,24 +82,24 @@ impl Declared {
             }
         }
         let gone: Vec<Name> =
-            self.of.iter_mut().filter_map(|(segment, of)| of.is_gone(segment, hub)).collect();
+            self.of.iter_mut().filter_map(|(segment, of)| of.is_gone(segment, network)).collect();
         for segment in gone {
             let keys = self.of.remove(&segment).unwrap_or_default().keys;
             self.count -= keys.len();
             for key in keys {
-                if let Err(error) = hub.network.session.undeclare(key).await {
+                if let Err(error) = network.session.undeclare(key).await {
                     tracing::debug!("a key is not given up: {error}");
                 }
             }
-            hub.origins.forget(&segment);
+            origins.forget(&segment);
         }
     }
 }
 
 impl OfSegment {
     /// The segment, if nobody has spoken for it for long.
-    fn is_gone(&mut self, segment: &Name, hub: &Hub) -> Option<Name> {
-        if hub.network.peers.speaking_for(segment) > 0 {
+    fn is_gone(&mut self, segment: &Name, network: &Network) -> Option<Name> {
+        if network.peers.speaking_for(segment) > 0 {
             self.silent_since = None;
             return None;
         }

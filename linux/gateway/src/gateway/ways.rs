@@ -112,7 +112,8 @@ impl Ways {
         for (segment, channel) in self.readers.keys() {
             self.hub.segments[*segment].count_overflows(*channel);
         }
-        self.declared.keep(&self.hub).await;
+        let Hub { origins, channels, network, .. } = &*self.hub;
+        self.declared.keep(origins, channels, network).await;
         for channel in 0..self.hub.channels.len() {
             let wanting: Vec<bool> = self.hub.segments.iter().map(|segment| segment.wants(channel)).collect();
             let all = wanting.iter().filter(|wants| **wants).count();

@@ -8,7 +8,7 @@ use cosmic_gateway::counters::{Counters, Outcome};
 use tokio::time::Instant;
 
 use super::STEPS;
-use super::world::{Counted, RATES, Station, TAGS, VALIDITY, content};
+use super::world::{Counted, RATES, TAGS, VALIDITY, content};
 
 /// A frame that a gateway has published.
 #[derive(Clone, Copy, Debug)]
@@ -26,7 +26,15 @@ pub(super) struct Account {
     pub(super) of_nodes: [u64; 2],
     /// What the stranger has sent.
     pub(super) sent: u64,
-    pub(super) kills: Vec<(Station, Instant)>,
+    pub(super) kills: Vec<Kill>,
+}
+
+/// Nobody tells of what was on its way through a gateway that died, nor of what is published while a segment has none.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Kill {
+    pub(super) at: Instant,
+    /// The same, but for the only gateway of its segment: then its successor reads.
+    pub(super) until: Instant,
 }
 
 pub(super) struct Verdict {
@@ -96,9 +104,10 @@ impl Verdict {
     }
 
     /// What was on its way through a gateway when that died: it is known on its bus, or by its session, but not any more
-    /// by itself.
+    /// by itself. So with what nobody read.
     fn excused(&self, published: Instant) -> bool {
-        self.account.kills.iter().any(|(_, at)| *at < published + SLACK && published < *at + SLACK)
+        let around = |kill: &Kill| kill.at < published + SLACK && published < kill.until + SLACK;
+        self.account.kills.iter().any(around)
     }
 }
 

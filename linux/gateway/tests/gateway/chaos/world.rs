@@ -17,7 +17,7 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
 use super::Step;
-use super::judge::{Account, Far, Heard, Verdict};
+use super::judge::{Account, Far, Heard, Kill, Verdict};
 use crate::bed::{PATIENCE, Segment, Setup, Stranger, fifo, frames_at, name, port, until};
 
 /// Of commands, reports and noise.
@@ -129,7 +129,7 @@ pub(super) struct World {
     /// What nodes have told that was to come to the west, and to the east, and was not sent or not fetched in time.
     of_nodes: [u64; 2],
     /// Around these instants events may have died with a gateway.
-    kills: Vec<(Station, Instant)>,
+    kills: Vec<Kill>,
 }
 
 fn channel(tag: u8) -> Channel<u32> {
@@ -279,7 +279,7 @@ impl World {
     }
 
     async fn kill(&mut self, station: Station, pause: Span, forgets: bool) {
-        self.kills.push((station, Instant::now()));
+        let at = Instant::now();
         if let Some(gateway) = self.gateways[station as usize].take() {
             self.ask(gateway.node(&name(station.segment())).unwrap(), station.side());
         }
@@ -295,6 +295,9 @@ impl World {
             counted.outgoing.get(Outcome::StandingBy) + counted.outgoing.get(Outcome::Forwarded) > 0
         })
         .await;
+        // The other gateway of the west goes on.
+        let until = if station == Station::East { Instant::now() } else { at };
+        self.kills.push(Kill { at, until });
         self.counted.push(counted);
         self.gateways[station as usize] = Some(gateway);
         if station == Station::East {
