@@ -1,12 +1,13 @@
 //! Measures what the middleware costs on a Cortex-M4F, and compares it with limits.
 //!
-//! `qemu-tests/src/bin/bench.rs` counts; `qemu-tests/bench-limits.json` holds the limits.
+//! `qemu-tests/src/bin/bench.rs` counts; `qemu-tests/bench-limits.json` holds the limits, for code that is built for speed and
+//! for size.
 
 use std::fs;
 use std::process::ExitCode;
 
 use anyhow::{Context as _, Result, bail};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
 use crate::images;
@@ -18,16 +19,37 @@ use crate::tally::Tally;
 use crate::target::TargetWay;
 use crate::workspace::Workspace;
 
-/// How to show it.
+/// What is measured, and how it is shown.
 #[derive(Args)]
 pub(crate) struct Options {
+    /// What the code is built for.
+    #[arg(long, value_enum, default_value_t = Aim::Speed)]
+    built_for: Aim,
     /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
     /// Instead, measure in the emulated cluster how many cycles the images that are flashed take for a frame, for a release,
     /// for a cycle of the calendar, and for how much of the time they are awake on a full bus.
-    #[arg(long, conflicts_with = "json")]
+    #[arg(long, conflicts_with_all = ["json", "built_for"])]
     cycles: bool,
+}
+
+/// What code is built for.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
+enum Aim {
+    /// As the images of the example.
+    Speed,
+    /// As the images of `firmware/small`.
+    Size,
+}
+
+impl Aim {
+    fn profile(self) -> &'static str {
+        match self {
+            Self::Speed => images::PROFILE,
+            Self::Size => images::PROFILE_OF_SMALL,
+        }
+    }
 }
 
 /// A measured value.
@@ -43,11 +65,12 @@ struct Measurement {
     exact: bool,
 }
 
-/// A limit, as it stands in the file.
+/// The limits of a line, as they stand in the file.
 #[derive(Deserialize)]
-struct Limit {
+struct Limits {
     what: String,
-    limit: u32,
+    speed: u32,
+    size: u32,
 }
 
 impl Measurement {
@@ -76,7 +99,7 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
         return Ok(suite::costs(workspace)?.conclude());
     }
     let way = setup::prepare(&[Tool::Qemu])?;
-    let all = measure(workspace, &way)?;
+    let all = measure(workspace, &way, options.built_for)?;
     if options.json {
         println!("{}", serde_json::to_string_pretty(&all)?);
     } else {
@@ -87,20 +110,25 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
 
 /// Each limit is a check that passes or fails.
 pub(crate) fn check(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let all = measure(workspace, way)?;
-    print!("{}", table(&all));
+    let mut all = Vec::new();
+    for aim in Aim::value_variants() {
+        let measured = measure(workspace, way, *aim)?;
+        println!("built for {aim:?}");
+        print!("{}", table(&measured));
+        all.extend(measured);
+    }
     let limited = || all.iter().filter(|it| it.limit.is_some());
     let passed = limited().filter(|it| it.holds()).count();
     Ok(Tally { passed, failed: limited().count() - passed })
 }
 
-fn measure(workspace: &Workspace, way: &TargetWay) -> Result<Vec<Measurement>> {
+fn measure(workspace: &Workspace, way: &TargetWay, aim: Aim) -> Result<Vec<Measurement>> {
     let path = workspace.root().join(qemu::PACKAGE).join("bench-limits.json");
     let text = fs::read_to_string(&path).with_context(|| format!("{} cannot be read", path.display()))?;
-    let limits: Vec<Limit> =
+    let limits: Vec<Limits> =
         serde_json::from_str(&text).with_context(|| format!("{} holds no limits", path.display()))?;
     let built = step("building the measurement", || {
-        images::build(way.cargo(workspace, "build"), qemu::PACKAGE, images::PROFILE, &[PROGRAM.to_owned()])
+        images::build(way.cargo(workspace, "build"), qemu::PACKAGE, aim.profile(), &[PROGRAM.to_owned()])
     })?;
     let image = built.images.get(PROGRAM).context("the build gave no measurement")?;
     let printed = step("measuring in QEMU", || qemu::measure(image))?;
@@ -110,7 +138,10 @@ fn measure(workspace: &Workspace, way: &TargetWay) -> Result<Vec<Measurement>> {
         let Some(measurement) = all.iter_mut().find(of_limit) else {
             bail!("{} has a limit for \"{}\", which is not measured", path.display(), limit.what);
         };
-        measurement.limit = Some(limit.limit);
+        measurement.limit = Some(match aim {
+            Aim::Speed => limit.speed,
+            Aim::Size => limit.size,
+        });
     }
     Ok(all)
 }

@@ -224,9 +224,10 @@ const LOCK: &str = "Cargo.lock";
 
 /// The profile of what is flashed, in the workspace's manifest.
 pub(crate) const PROFILE: &str = "firmware";
-/// The package of the nodes whose size is a goal, and their profile.
+/// The package of the nodes whose size is a goal.
 pub(crate) const SMALL: &str = "small";
-const PROFILE_OF_SMALL: &str = "firmware-small";
+/// The profile of the nodes whose size is a goal.
+pub(crate) const PROFILE_OF_SMALL: &str = "firmware-small";
 
 #[cfg(test)]
 mod tests {

@@ -1,7 +1,8 @@
 //! Division of 64 by 64 bits, a bit at a time.
 //!
 //! The compiler's own takes 900 bytes to be quick where both are long. What a node divides are spans of time, some tens
-//! of times a second: this takes up to 900 cycles, and a fifteenth of the room. `qemu-tests/src/bin/division.rs` checks it.
+//! of times a second: this takes 14 cycles for each bit of the dividend, and a seventh of the room.
+//! `qemu-tests/src/bin/division.rs` checks it.
 
 // Dividend in r0 and r1, divisor in r2 and r3; quotient to r0 and r1, remainder to r2 and r3 (Run-time ABI for the Arm
 // architecture, 4.3.1). That nobody divides by zero is asked before; the result would be a number all the same.
@@ -17,6 +18,19 @@ __aeabi_uldivmod:
     movs r4, #0
     movs r5, #0
     movs r6, #64
+    // Zeros at the top of the dividend are passed over: first 32, then those that are left.
+    cbnz r1, 4f
+    movs r1, r0
+    movs r0, #0
+    movs r6, #32
+4:  clz r12, r1
+    subs r6, r6, r12
+    beq 5f
+    lsl r1, r1, r12
+    rsb lr, r12, #32
+    lsr lr, r0, lr
+    orr r1, r1, lr
+    lsl r0, r0, r12
     // The dividend goes out at the top into the remainder, while the quotient comes in at the bottom.
 1:  adds r0, r0, r0
     adcs r1, r1, r1
@@ -32,7 +46,7 @@ __aeabi_uldivmod:
     adds r0, r0, #1
 3:  subs r6, r6, #1
     bne 1b
-    mov r2, r4
+5:  mov r2, r4
     mov r3, r5
     pop {{r4, r5, r6, pc}}
     .size __aeabi_uldivmod, . - __aeabi_uldivmod
