@@ -1,7 +1,5 @@
 //! Runs the firmware on an emulated cluster.
 
-use std::env::consts::EXE_SUFFIX;
-use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 
 use anyhow::{Context as _, Result};
@@ -65,15 +63,10 @@ fn run_wan_built(
         None => images::kept(workspace, &setup::prepare(&[])?, &cluster, None, &[])?.0,
     };
     build()?;
-    let mut demo = Command::new(program(workspace, WAN_DEMO));
+    let mut demo = Command::new(workspace.program("debug", WAN_DEMO));
     demo.arg("--cluster").arg(cluster).arg("--images").arg(images);
-    demo.arg("--server").arg(program(workspace, SERVER)).args(of_the_demo(arguments));
-    let status = run::status(&mut demo)?;
-    Ok(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
-}
-
-fn program(workspace: &Workspace, name: &str) -> PathBuf {
-    workspace.target_dir().join("debug").join(format!("{name}{EXE_SUFFIX}"))
+    demo.arg("--server").arg(workspace.program("debug", SERVER)).args(of_the_demo(arguments));
+    run::code(&mut demo)
 }
 
 /// The demo of the gateway for some seconds. It judges itself: nothing stale, and what crosses, crosses. Then once more,
@@ -86,7 +79,7 @@ pub(crate) fn short_wan(workspace: &Workspace) -> Result<Tally> {
     let mut tally = Tally::one(run_wan_built(workspace, &arguments, build)? == 0);
     let cluster = plan::find(plan::example(workspace))?;
     let images = images::kept(workspace, &setup::prepare(&[])?, &cluster, None, &[])?.0;
-    tally.add(linux::test_page_of_wan(workspace, &cluster, &images, &program(workspace, SERVER)));
+    tally.add(linux::test_page_of_wan(workspace, &cluster, &images, &workspace.program("debug", SERVER)));
     Ok(tally)
 }
 
@@ -131,16 +124,13 @@ pub(crate) fn run(workspace: &Workspace, arguments: &[String]) -> Result<u8> {
     step("building the demo", || run::run(&mut program))?;
     // Not by `cargo run`, which would move it to the root of the repository: the files that it is to
     // write are named from where the user is.
-    let program = workspace.target_dir().join("release").join(format!("demo{EXE_SUFFIX}"));
-    let mut demo = Command::new(program);
+    let mut demo = Command::new(workspace.program("release", "demo"));
     demo.arg("--cluster").arg(cluster);
     if let Some(images) = images {
         demo.arg("--images").arg(images);
     }
     demo.args(of_the_demo(arguments));
-    let status = run::status(&mut demo)?;
-    // Ended by a signal, it has no code.
-    Ok(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
+    run::code(&mut demo)
 }
 
 /// The arguments without those that say what to build.

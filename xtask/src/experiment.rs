@@ -1,6 +1,5 @@
 //! Runs an experiment: on the simulated bus, or with the gateway.
 
-use std::env::consts::EXE_SUFFIX;
 use std::ffi::OsString;
 use std::process::{Command, ExitCode};
 
@@ -44,10 +43,8 @@ pub(crate) fn task(workspace: &Workspace, options: &Options) -> Result<ExitCode>
     step("building the experiments", || run::run(&mut build))?;
     // Not by `cargo run`, which would move it to the root of the repository: the files that it is to
     // write are named from where the user is.
-    let program = workspace.target_dir().join("release").join(format!("{program}{EXE_SUFFIX}"));
-    let status = run::status(Command::new(program).args(arguments))?;
-    // Ended by a signal, it has no code.
-    Ok(status.code().and_then(|code| u8::try_from(code).ok()).map_or(ExitCode::FAILURE, ExitCode::from))
+    let mut experiments = Command::new(workspace.program("release", program));
+    run::code(experiments.args(arguments)).map(ExitCode::from)
 }
 
 const GATEWAY: &str = "gateway";

@@ -26,8 +26,13 @@ pub(crate) fn run(command: &mut Command) -> Result<()> {
 }
 
 /// Runs a command with the terminal as its output.
-pub(crate) fn status(command: &mut Command) -> Result<ExitStatus> {
+fn status(command: &mut Command) -> Result<ExitStatus> {
     command.status().with_context(|| format!("`{}` cannot be started", line(command)))
+}
+
+/// Runs a program that ends with a verdict: its exit code, or 1 if a signal has ended it.
+pub(crate) fn code(command: &mut Command) -> Result<u8> {
+    Ok(status(command)?.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
 }
 
 /// Runs a command, and hands over each line of its standard output as it comes.

@@ -1,6 +1,5 @@
 //! The cluster that configures itself (`examples/workshop`), run behind the demo of the one that is planned as a whole.
 
-use std::env::consts::EXE_SUFFIX;
 use std::process::{Command, ExitCode};
 
 use anyhow::Result;
@@ -29,12 +28,9 @@ pub(crate) fn run(workspace: &Workspace) -> Result<u8> {
     let mut build = workspace.cargo();
     build.args(["build", "--release", "--package", "cosmic-demo", "--bin", "workshop"]);
     step("building the judge of the workshop", || run::run(&mut build))?;
-    let program = workspace.target_dir().join("release").join(format!("workshop{EXE_SUFFIX}"));
-    let mut workshop = Command::new(program);
+    let mut workshop = Command::new(workspace.program("release", "workshop"));
     workshop.arg("--cluster").arg(workspace.root().join(images::WORKSHOP).join(plan::OF_A_REPOSITORY));
-    let status = run::status(workshop.arg("--images").arg(images))?;
-    // Ended by a signal, it has no code.
-    Ok(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
+    run::code(workshop.arg("--images").arg(images))
 }
 
 /// Returns whether no other cluster is named. Of arguments that are wrong the demo says what is.

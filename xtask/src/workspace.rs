@@ -1,6 +1,7 @@
 //! Where things are.
 
 use std::env;
+use std::env::consts::EXE_SUFFIX;
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -59,6 +60,11 @@ impl Workspace {
     /// Where cargo puts what it builds for the host.
     pub(crate) fn target_dir(&self) -> &Path {
         &self.target_dir
+    }
+
+    /// A program of ours, as built in this profile.
+    pub(crate) fn program(&self, profile: &str, name: &str) -> PathBuf {
+        self.target_dir().join(profile).join(format!("{name}{EXE_SUFFIX}"))
     }
 
     /// A call of cargo in the root of the repository.
