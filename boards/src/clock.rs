@@ -9,7 +9,8 @@
 //! interrupts between the two reads: with a turn of 18 minutes a reader may be interrupted there.)
 //!
 //! Waiting is done by the timer queue of `rtic-time`, and for the calendar by an alarm of its own. The driver of
-//! `rtic-monotonics` is not used: its upper bits are of 64 bits, behind a lock that spins and takes 2 KB of RAM, and its interrupt can panic.
+//! `rtic-monotonics` is not used: its upper bits are of 64 bits, behind a lock that spins and takes 2 KB of RAM, and its
+//! interrupt can panic.
 
 use core::future::pending;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};

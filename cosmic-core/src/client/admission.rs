@@ -72,8 +72,8 @@ struct Entry {
     untold: Option<AdmissionEvent>,
 }
 
-/// The admission client of one node, for up to `N` channels, of which there may be none; its contract is that of [`crate::client`], and why it is
-/// safe stands at [`AdmissionTiming`].
+/// The admission client of one node, for up to `N` channels, of which there may be none; its contract is that of
+/// [`crate::client`], and why it is safe stands at [`AdmissionTiming`].
 ///
 /// Every call takes O(`N`).
 #[derive(Clone, Debug)]

@@ -321,7 +321,8 @@ impl<
         S::WATCHES_EVENTS
     }
 
-    /// The long way: out of line, so that the short one needs fewer registers. Returns whether something may be due: an exception, or the next event is awaited earlier.
+    /// The long way: out of line, so that the short one needs fewer registers. Returns whether something may be due: an
+    /// exception, or the next event is awaited earlier.
     #[inline(never)]
     fn deliver(&mut self, tag: Tag, frame: &Frame, received_at: Instant) -> bool {
         let awaited = self.layer.next_overdue();

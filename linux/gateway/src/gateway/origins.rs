@@ -1,8 +1,8 @@
 //! The keys under which events come from IP: each is declared to our own session when the first event has come under it.
 //!
 //! zenoh remembers the way of an event with its key, if that is declared here. For any other it looks anew each time among
-//! all that is declared, in each of its regions: longer than all else that becomes of an event here, and the longer the more subjects there
-//! are. The sender has declared its key, but that is told no further than to the first router.
+//! all that is declared, in each of its regions: longer than all else that becomes of an event here, and the longer the
+//! more subjects there are. The sender has declared its key, but that is told no further than to the first router.
 //!
 //! A key stays declared while somebody speaks for its segment, and a while longer: so there are no more of them than
 //! participants times channels, and [`MOST`].
