@@ -73,12 +73,14 @@ fn run_wan_built(
 /// with its page in a browser.
 pub(crate) fn short_wan(workspace: &Workspace) -> Result<Tally> {
     let out = workspace.target_dir().join("wan-demo-of-tests");
-    let mut arguments: Vec<String> = SHORT.map(str::to_owned).into();
-    arguments.extend(["--out".to_owned(), out.display().to_string()]);
-    let build = || linux::build(workspace, &[WAN_DEMO, SERVER]);
-    let mut tally = Tally::one(run_wan_built(workspace, &arguments, build)? == 0);
     let cluster = plan::find(plan::example(workspace))?;
     let images = images::kept(workspace, &setup::prepare(&[])?, &cluster, None, &[])?.0;
+    let mut arguments: Vec<String> = SHORT.map(str::to_owned).into();
+    for (option, path) in [("--out", &out), ("--cluster", &cluster), ("--images", &images)] {
+        arguments.extend([option.to_owned(), path.display().to_string()]);
+    }
+    let build = || linux::build(workspace, &[WAN_DEMO, SERVER]);
+    let mut tally = Tally::one(run_wan_built(workspace, &arguments, build)? == 0);
     tally.add(linux::test_page_of_wan(workspace, &cluster, &images, &workspace.program("debug", SERVER)));
     Ok(tally)
 }

@@ -10,6 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use serde_json::Value;
 
 use crate::board::{self, Board};
+use crate::new;
 use crate::plan;
 use crate::run::{self, step};
 use crate::setup;
@@ -36,11 +37,7 @@ impl Built {
     }
 }
 
-/// Builds images of the example's firmware, for its own cluster or another one: all if none is named.
-fn firmware(workspace: &Workspace, way: &TargetWay, cluster: &Path, names: &[String]) -> Result<Built> {
-    for_board(workspace, way, cluster, None, names)
-}
-
+/// Builds images of the example's firmware, for its own cluster or another one, and for a board: all if none is named.
 fn for_board(
     workspace: &Workspace,
     way: &TargetWay,
@@ -62,7 +59,7 @@ fn for_board(
 
 /// Builds all images of the example's firmware.
 pub(crate) fn of_example(workspace: &Workspace, way: &TargetWay) -> Result<Built> {
-    firmware(workspace, way, &plan::find(plan::example(workspace))?, &[])
+    for_board(workspace, way, &plan::find(plan::example(workspace))?, None, &[])
 }
 
 /// Builds the nodes whose size is a goal, with these features.
@@ -89,7 +86,7 @@ pub(crate) fn searched(workspace: &Workspace, way: &TargetWay) -> Result<Images>
     Ok(images)
 }
 
-/// Builds images as [`firmware`] does, and keeps a copy of them in a folder of the cluster's own: the next build, for
+/// Builds images as [`for_board`] does, and keeps a copy of them in a folder of the cluster's own: the next build, for
 /// another cluster, leaves it alone. Returns the folder, too.
 pub(crate) fn kept(
     workspace: &Workspace,
@@ -107,9 +104,8 @@ pub(crate) fn kept(
 /// Builds the images of the workshop, where it stands in the repository, and keeps a copy of them. Returns where.
 pub(crate) fn of_workshop(workspace: &Workspace, way: &TargetWay) -> Result<PathBuf> {
     let example = workspace.root().join(WORKSHOP);
-    // It is a workspace of its own, whose dependencies have the versions that are tested here.
-    let (ours, its) = (workspace.root().join(LOCK), example.join(LOCK));
-    fs::copy(&ours, &its).with_context(|| format!("writing {}", its.display()))?;
+    // It is a workspace of its own.
+    new::lock(workspace, &example)?;
     let cluster = plan::find(example.join(plan::OF_A_REPOSITORY))?;
     let theirs = Workspace::of(&workspace::metadata(&example)?)?.building_in(Some(workspace.target_dir()));
     let mut built = step("building the images of the workshop", || {
@@ -220,7 +216,6 @@ pub(crate) const TRIALS: &str = "trials";
 
 /// The cluster that configures itself.
 pub(crate) const WORKSHOP: &str = "examples/workshop";
-const LOCK: &str = "Cargo.lock";
 
 /// The profile of what is flashed, in the workspace's manifest.
 pub(crate) const PROFILE: &str = "firmware";

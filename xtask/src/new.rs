@@ -72,6 +72,11 @@ pub(crate) fn make(workspace: &Workspace, example: Example, directory: &Path) ->
     let manifest = directory.join(MANIFEST);
     let text = fs::read_to_string(&manifest).with_context(|| format!("reading {}", manifest.display()))?;
     write(&manifest, &with_paths(&text, workspace.root())?)?;
+    lock(workspace, directory)
+}
+
+/// A repository depends on the versions that are tested here.
+pub(crate) fn lock(workspace: &Workspace, directory: &Path) -> Result<()> {
     let lock = directory.join(LOCK);
     fs::copy(workspace.root().join(LOCK), &lock).with_context(|| format!("writing {}", lock.display()))?;
     Ok(())

@@ -125,13 +125,12 @@ pub(crate) fn host(workspace: &Workspace) -> Result<Tally> {
 /// In the profile of the demo, for speed.
 pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let mut command = emulated_tests(workspace, way)?;
-    let workshop_images = images::of_workshop(workspace, way)?;
-    command.env(WORKSHOP_IMAGES, &workshop_images);
+    command.env(WORKSHOP_IMAGES, images::of_workshop(workspace, way)?);
     let mut tally = step("testing the firmware in the emulated cluster", || cargo_test(&mut command))?;
     tally.add(trials(workspace, way));
     tally.add(step("testing a new repository, made outside this one", || new_repository(workspace, way)));
     tally.add(step("testing a workshop that configures itself, outside this repository", || {
-        workshop(workspace, &workshop_images)
+        workshop(workspace, way)
     }));
     Ok(tally)
 }
@@ -177,11 +176,14 @@ fn new_repository(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     tally
 }
 
-/// Makes the workshop as a user would, and runs its own test on the images, which are built.
-fn workshop(workspace: &Workspace, images: &Path) -> Result<Tally> {
+/// Makes the workshop as a user would, builds it, and runs its own test.
+fn workshop(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let folder = env::temp_dir().join(format!("cosmic-workshop-{}", process::id()));
     let made = new::make(workspace, Example::Workshop, &folder);
-    let tally = made.and_then(|()| own_test(workspace, images, &folder));
+    let tally = made.and_then(|()| {
+        run::run(&mut images_of(workspace, way, &folder, "workshop"))?;
+        own_test(workspace, way, &folder)
+    });
     // What a test leaves behind is no failure.
     let _ = fs::remove_dir_all(&folder);
     tally
@@ -202,9 +204,9 @@ fn build_and_test(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Resu
 
 /// Builds the images of the repository, runs its own test, and then its program, which says what a document promises.
 fn as_printed(workspace: &Workspace, way: &TargetWay, folder: &Path, document: &str) -> Result<Tally> {
-    run::run(&mut images_of_robot(workspace, way, folder))?;
+    run::run(&mut images_of(workspace, way, folder, "robot"))?;
     let images = way.target_dir(workspace).join(TRIPLE).join(PROFILE);
-    let mut tally = own_test(workspace, &images, folder)?;
+    let mut tally = own_test(workspace, way, folder)?;
     let mut program = workspace.cargo();
     program.current_dir(folder).args(["run", "--release"]);
     program.env("CARGO_TARGET_DIR", workspace.target_dir()).env(IMAGES, images);
@@ -213,17 +215,17 @@ fn as_printed(workspace: &Workspace, way: &TargetWay, folder: &Path, document: &
 }
 
 /// The test of the repository, on images that are built.
-fn own_test(workspace: &Workspace, images: &Path, folder: &Path) -> Result<Tally> {
+fn own_test(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<Tally> {
     let mut test = workspace.cargo();
     test.current_dir(folder).args(["test", "--no-fail-fast", "--release"]);
     test.env("CARGO_TARGET_DIR", workspace.target_dir());
-    test.env(IMAGES, images);
+    test.env(IMAGES, way.target_dir(workspace).join(TRIPLE).join(PROFILE));
     cargo_test(&mut test)
 }
 
-fn images_of_robot(workspace: &Workspace, way: &TargetWay, folder: &Path) -> process::Command {
+fn images_of(workspace: &Workspace, way: &TargetWay, folder: &Path, package: &str) -> process::Command {
     let mut build = way.cargo(workspace, "build");
-    build.current_dir(folder).args(["--package", "robot", "--profile", PROFILE]);
+    build.current_dir(folder).args(["--package", package, "--profile", PROFILE]);
     build.env("CARGO_TARGET_DIR", way.target_dir(workspace));
     build
 }
@@ -236,7 +238,7 @@ fn wrong_plan(workspace: &Workspace, way: &TargetWay, folder: &Path) -> Result<T
     let line =
         wrong.lines().position(|line| line.starts_with("peroid")).context("no channel has a period")? + 1;
     fs::write(&path, &wrong).with_context(|| format!("writing {}", path.display()))?;
-    let built = run::with_complaints(&mut images_of_robot(workspace, way, folder));
+    let built = run::with_complaints(&mut images_of(workspace, way, folder, "robot"));
     fs::write(&path, right).with_context(|| format!("writing {}", path.display()))?;
     let (status, said) = built?;
     let place = format!("cluster.toml:{line}:");
