@@ -136,11 +136,16 @@ impl Trial {
 
     /// The frames that were sent to their end from a millisecond on, each with its millisecond.
     pub fn frames(&self, from: u64) -> impl Iterator<Item = (u64, Frame)> {
+        self.frames_at(from).map(|(at, frame)| (millisecond(at), frame))
+    }
+
+    /// As [`frames`](Self::frames), each with its instant.
+    pub fn frames_at(&self, from: u64) -> impl Iterator<Item = (VirtualInstant, Frame)> {
         let frame = |event: &TraceEvent| match &event.kind {
-            TraceKind::FrameEnd { frame, .. } => Some((millisecond(event.at), Frame::try_from(*frame).ok()?)),
+            TraceKind::FrameEnd { frame, .. } => Some((event.at, Frame::try_from(*frame).ok()?)),
             _ => None,
         };
-        self.trace.iter().filter_map(frame).filter(move |(at, _)| *at >= from)
+        self.trace.iter().filter_map(frame).filter(move |(at, _)| *at >= ms(from))
     }
 
     /// The statuses that were sent from a millisecond on.

@@ -17,14 +17,8 @@ const RECOVERED: u64 = (1 + 6 + 1) * SYNC_PERIOD + 10;
 
 /// When hard frames ended, from a millisecond on, in nanoseconds.
 fn hard(trial: &Trial, from: u64) -> Vec<u64> {
-    let of_slots = |event: &cosmic_bus::trace::TraceEvent| match &event.kind {
-        cosmic_bus::trace::TraceKind::FrameEnd { frame, .. } => {
-            let frame = cosmic_core::can::Frame::try_from(*frame).ok()?;
-            (frame.id.priority() == Priority::HARD && event.at >= ms(from)).then_some(event.at.as_ticks())
-        }
-        _ => None,
-    };
-    trial.trace.iter().filter_map(of_slots).collect()
+    let hard = trial.frames_at(from).filter(|(_, frame)| frame.id.priority() == Priority::HARD);
+    hard.map(|(at, _)| at.as_ticks()).collect()
 }
 
 /// How far two instants are apart in the cycle of the calendar, in nanoseconds.

@@ -69,7 +69,7 @@ pub fn run(workshop: &described::Cluster, images: &Path) -> Result<Story, LoadEr
     let mut nodes = Vec::new();
     for (number, node) in (0..).zip(&workshop.nodes) {
         let mut config = NodeConfig::new(&node.name, images.join(&node.name));
-        config.start_at = instant(number);
+        config.start_at = instant(starts(number));
         config.clock_error = ClockError::parts_per_million(drift(number)).unwrap_or_default();
         nodes.push(cluster.add_node(config)?);
     }
@@ -87,6 +87,11 @@ pub fn run(workshop: &described::Cluster, images: &Path) -> Result<Story, LoadEr
     Ok(story)
 }
 
+/// When the node of this number is switched on, in milliseconds: one after the other.
+const fn starts(number: u64) -> u64 {
+    number
+}
+
 /// The first, which gives the time, keeps the bus's own.
 fn drift(number: u64) -> i32 {
     [0, 20, -30, 25, 15][number as usize % 5]
@@ -102,7 +107,7 @@ impl Story {
     fn observe(&mut self, cluster: &mut Cluster, workshop: &described::Cluster) {
         for seen in cluster.take_observations() {
             let name = workshop.nodes[seen.node.index()].name.clone();
-            let at = seen.at.as_ticks() / NANOSECONDS_OF_MILLISECOND;
+            let at = millisecond(seen.at);
             match seen.kind {
                 ObservationKind::Log(line) if line.level != "ERROR" => {
                     self.lines.push(Line { at, node: name, text: line.message });
@@ -128,6 +133,11 @@ fn sent(event: &TraceEvent) -> Option<Sent> {
 
 fn instant(millisecond: u64) -> VirtualInstant {
     VirtualInstant::from_ticks(millisecond * NANOSECONDS_OF_MILLISECOND)
+}
+
+/// The millisecond in which an instant lies.
+fn millisecond(at: VirtualInstant) -> u64 {
+    at.as_ticks() / NANOSECONDS_OF_MILLISECOND
 }
 
 const DESK: &str = "desk";

@@ -4,7 +4,7 @@ use cosmic_core::can::{Etag, TxNode};
 use cosmic_core::protocol::{Answer, ControlMessage, SupplyEtag};
 use cosmic_plan::cluster::Cluster;
 
-use super::{LAMP, LAMP_STARTS_ANEW, Story};
+use super::{LAMP, LAMP_STARTS_ANEW, Story, starts};
 
 /// An id that a node came to have.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -32,7 +32,7 @@ pub(super) struct Bound {
 pub(super) fn ids(workshop: &Cluster, story: &Story) -> Vec<Name> {
     let started = |node: &str, at: u64| match workshop.nodes.iter().position(|it| it.name == node) {
         _ if node == LAMP && at >= LAMP_STARTS_ANEW => LAMP_STARTS_ANEW,
-        place => place.unwrap_or(0) as u64,
+        place => starts(place.unwrap_or(0) as u64),
     };
     let name = |line: &super::Line| {
         let id = line.text.strip_prefix("Configured(TxNode(")?.strip_suffix("))")?.parse().ok()?;

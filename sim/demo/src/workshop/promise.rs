@@ -7,7 +7,9 @@ use cosmic_core::protocol::{AdmissionVerdict, ControlMessage};
 use cosmic_plan::cluster::{Channel, Cluster};
 
 use super::names::{Bound, Name};
-use super::{DESK, DESK_GOES, LAMP, PROBE, SCOUT, SPARE, Story};
+use super::{
+    DESK, DESK_GOES, LAMP, NANOSECONDS_OF_MILLISECOND, PROBE, SCOUT, SPARE, Sent, Story, millisecond,
+};
 use crate::columns::counted;
 
 /// A promise, and what became of it.
@@ -132,8 +134,10 @@ impl Run<'_> {
         let Some(etag) = self.etag("reading") else {
             return broken("Channels at run time: the reading has no etag.");
         };
-        let of_probe = |at: u64| self.of_node(PROBE, at, etag);
-        let again = rests.iter().filter(|rest| of_probe(**rest + PAUSE)).count();
+        // Within a second.
+        let sends =
+            |from: u64| self.sent(PROBE, etag).any(|it| (from..from + 1_000).contains(&millisecond(it.at)));
+        let again = rests.iter().filter(|rest| sends(**rest + PAUSE)).count();
         Promise {
             text: format!(
                 "Channels at run time: given up {} times, announced again {again} times.",
@@ -159,7 +163,7 @@ impl Run<'_> {
         let Some(vibration) = self.bound.iter().find(|it| it.channel.is_none()) else {
             return broken("Admission: nobody asked for a channel that is in no plan.");
         };
-        let is_admitted = |sent: &&super::Sent| match ControlMessage::decode(&sent.frame) {
+        let is_admitted = |sent: &&Sent| match ControlMessage::decode(&sent.frame) {
             Some(ControlMessage::AdmissionReply(reply)) => {
                 reply.etag == vibration.etag && matches!(reply.verdict, AdmissionVerdict::Admitted(_))
             }
@@ -181,7 +185,9 @@ impl Run<'_> {
                 gap.unwrap_or(0) as f64 / 1e6
             ),
             is_kept: before == 0
-                && gap.is_some_and(|gap| gap <= (VIBRATION_EVERY + VIBRATION_DEADLINE) * 1_000_000),
+                && gap.is_some_and(|gap| {
+                    gap <= (VIBRATION_EVERY + VIBRATION_DEADLINE) * NANOSECONDS_OF_MILLISECOND
+                }),
         }
     }
 
@@ -195,15 +201,17 @@ impl Run<'_> {
         let [first, again] = lamp.as_slice() else {
             return broken("Fail-over: the lamp, started anew, has no id.");
         };
+        let is_the_same = first.tx_node == again.tx_node;
         Promise {
             text: format!(
                 "Fail-over: the spare names nodes {:.1} s after the desk was switched off; the lamp, started anew, has id {} \
-                 of it after {} ms, as before.",
+                 of it after {} ms, {}.",
                 (active - DESK_GOES) as f64 / 1e3,
                 again.tx_node.get(),
-                again.after
+                again.after,
+                if is_the_same { "as before" } else { "and had another one before" }
             ),
-            is_kept: active - DESK_GOES <= TAKE_OVER && first.tx_node == again.tx_node,
+            is_kept: active - DESK_GOES <= TAKE_OVER && is_the_same,
         }
     }
 
@@ -218,23 +226,14 @@ impl Run<'_> {
 
     /// Events of a channel that a node sent.
     fn on_bus(&self, channel: &str, node: &str) -> usize {
-        let (Some(etag), Some(name)) = (self.etag(channel), self.ids.iter().find(|it| it.node == node))
-        else {
-            return 0;
-        };
-        let is_one = |it: &&super::Sent| it.frame.id.etag() == etag && it.frame.id.tx_node() == name.tx_node;
-        self.story.frames.iter().filter(is_one).count()
+        self.etag(channel).map_or(0, |etag| self.sent(node, etag).count())
     }
 
-    /// Whether a node sent on an etag from a millisecond on, within a second.
-    fn of_node(&self, node: &str, from: u64, etag: Etag) -> bool {
-        let Some(name) = self.ids.iter().find(|it| it.node == node) else { return false };
-        self.story.frames.iter().any(|it| {
-            let at = it.at.as_ticks() / 1_000_000;
-            (from..from + 1_000).contains(&at)
-                && it.frame.id.etag() == etag
-                && it.frame.id.tx_node() == name.tx_node
-        })
+    /// What a node sent on an etag.
+    fn sent(&self, node: &str, etag: Etag) -> impl Iterator<Item = &Sent> {
+        let id = self.ids.iter().find(|it| it.node == node).map(|it| it.tx_node);
+        let is_one = move |it: &&Sent| it.frame.id.etag() == etag && Some(it.frame.id.tx_node()) == id;
+        self.story.frames.iter().filter(is_one)
     }
 }
 
