@@ -4,7 +4,7 @@
 //! The compiler's own are written for speed over kilobytes, each once for every alignment, and take 3.5 KB of flash. What a
 //! node copies is a frame, an event, a dozen words. These copy a word at a time, also where it is not aligned, which this
 //! processor does by itself unless CCR.UNALIGN_TRP is set. They stand in for the compiler's, whose symbols are weak.
-//! `qemu-tests/src/bin/memory.rs` compares them with loops.
+//! `qemu-tests/src/bin/memory.rs` compares them with loops, and `division.rs` beside it checks the division.
 #![no_std]
 
 #[cfg(all(target_arch = "arm", target_os = "none"))]
