@@ -158,7 +158,8 @@ extern "C" fn TIM2() {
     if flags & CC3IF != 0 {
         clear(CC3IF);
         CALENDAR.ring();
-        if flags == CC3IF && !is_pended {
+        // Channels that nobody uses match, too, and nobody clears their flags.
+        if flags & (UIF | CC1IF | CC2IF) == 0 && !is_pended {
             return;
         }
     }
