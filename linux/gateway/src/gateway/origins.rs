@@ -68,14 +68,16 @@ impl Declared {
     pub(super) async fn keep(&mut self, origins: &Origins, channels: &[ChannelConfig], network: &Network) {
         let new = std::mem::take(&mut *lock(&origins.new));
         for (channel, segment) in new {
+            let key = network.keys.event(channels[channel].subject, &segment);
+            // Also without a key it is known, and forgotten when nobody speaks for it any more.
+            let of = self.of.entry(segment).or_default();
             // Events cross without, too.
             if self.count >= MOST {
                 continue;
             }
-            let key = network.keys.event(channels[channel].subject, &segment);
             match network.session.declare_keyexpr(key).await {
                 Ok(key) => {
-                    self.of.entry(segment).or_default().keys.push(key);
+                    of.keys.push(key);
                     self.count += 1;
                 }
                 Err(error) => tracing::debug!("a key is not declared: {error}"),
