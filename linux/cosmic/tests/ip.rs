@@ -220,6 +220,12 @@ fn what_needs_a_bus_is_refused_in_one_line() {
         (&["echo", "--key", "a.key"], 2, "certificates are three files"),
         (&["pub", "B0A01C0000000006", "01", "--tx-node", "5"], 2, "leave out --uid and --tx-node"),
         (&["sub", "B0A01C0000000006", "--name", "Desk"], 2, "--name: \"Desk\" is none"),
+        (&["pub", "B0A01C0000000006", "00112233445566778899"], 2, "the content has 10 bytes"),
+        (
+            &["pub", "00000000000000AA", "01", "--messages", "--deadline", "5ms"],
+            2,
+            "a message is non real-time: leave out --deadline",
+        ),
         (&["echo"], 3, "nobody answers at tcp/127.0.0.1"),
         (&["sub", "B0A01C0000000006"], 3, "nobody answers at tcp/127.0.0.1"),
     ];

@@ -4,13 +4,13 @@ use std::process::ExitCode;
 
 use cosmic_core::Subject;
 use cosmic_core::can::Payload;
-use cosmic_core::event_layer::{Bytes, Depth, Event, Policy, PublishError};
+use cosmic_core::event_layer::{Bytes, Channel, Depth, Event, Policy, PublishError};
 use cosmic_gateway::counters::{Direction, Outcome};
 use cosmic_gateway::ip::{
     IpError, MessagePublisher, MessageSubscriber, Node, Publisher, Received, Subscriber,
 };
 use cosmic_linux::{AnnounceError, drawn_uid};
-use cosmic_monitor::{class_name, hex_bytes};
+use cosmic_monitor::{ByteMessages, class_name, hex_text};
 use cosmic_session::{Declared, LONGEST_MESSAGE};
 
 use super::words::{self, Line};
@@ -63,6 +63,23 @@ impl Incoming {
     }
 }
 
+/// What is to be published, and on which channel.
+enum Said {
+    Event(Channel<Payload>, Payload),
+    Message(ByteMessages, Box<Bytes<LONGEST_MESSAGE>>),
+}
+
+impl Said {
+    fn new(declared: Declared, content: &[u8], options: &Publish) -> Result<Self, Failure> {
+        Ok(match declared {
+            Declared::Events(channel) => Self::Event(channel, part::event_of(content)?),
+            Declared::Messages(channel) => {
+                Self::Message(channel, Box::new(part::message_of(content, options)?))
+            }
+        })
+    }
+}
+
 /// What goes out on a channel.
 enum Outgoing {
     Event(Publisher<Payload>, Payload),
@@ -70,22 +87,17 @@ enum Outgoing {
 }
 
 impl Outgoing {
-    async fn of(
-        node: &Node,
-        declared: &Declared,
-        content: &[u8],
-        options: &Publish,
-    ) -> Result<Self, Failure> {
-        Ok(match declared {
-            Declared::Events(channel) => {
-                let content = part::event_of(content)?;
-                Self::Event(node.announce(channel).await.map_err(refused)?, content)
+    async fn of(node: &Node, said: Said) -> Result<Self, Failure> {
+        let outgoing = match said {
+            Said::Event(channel, content) => {
+                node.announce(&channel).await.map(|publisher| Self::Event(publisher, content))
             }
-            Declared::Messages(channel) => {
-                let content = Box::new(part::message_of(content, options)?);
-                Self::Message(node.announce_messages(channel).await.map_err(refused)?, content)
+            Said::Message(channel, content) => {
+                let publisher = node.announce_messages(&channel).await;
+                publisher.map(|publisher| Self::Message(publisher, content))
             }
-        })
+        };
+        outgoing.map_err(refused)
     }
 
     async fn wanted(&self) {
@@ -150,7 +162,7 @@ fn line(context: &Context, subject: Subject, event: &Received<Vec<u8>>, at_ns: u
         number: None,
         missing: 0,
         left_ns: words::left(event.deadline, event.received_at),
-        data: hex_bytes(&event.content),
+        data: hex_text(&event.content),
         fields,
         malformed,
     }
@@ -164,8 +176,10 @@ pub(super) async fn publish(
 ) -> Result<ExitCode, Failure> {
     let (channel, planned) = part::published(context.plan.as_ref(), options)?;
     let content = part::content(context.plan.as_ref().zip(planned), &options.content)?;
+    // Before anybody is asked for.
+    let said = Said::new(channel, &content, options)?;
     let node = start(context, at, &options.identity).await?;
-    let outgoing = Outgoing::of(&node, &channel, &content, options).await?;
+    let outgoing = Outgoing::of(&node, said).await?;
     let patience = std_span(options.identity.patience);
     let wanted = tokio::time::timeout(patience, outgoing.wanted()).await;
     wanted.map_err(|_| {
