@@ -13,6 +13,6 @@ pub fn hexadecimal(text: &str) -> Option<u64> {
 }
 
 /// Bytes as pairs of hexadecimal digits.
-pub fn hex_bytes(bytes: &[u8]) -> String {
+pub fn hex_text(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02X}")).collect()
 }

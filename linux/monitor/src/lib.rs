@@ -66,7 +66,7 @@ mod view;
 
 pub use channels::{MOST_CHANNELS, MOST_PARTICIPANTS};
 pub use decode::{Decoded, DecodedField, Meaning, class_name};
-pub use digits::{hex_bytes, hexadecimal};
+pub use digits::{hex_text, hexadecimal};
 pub use doctor::{Finding, Rule, Severity};
 pub use feed::{Explanation, MOST_NOTICES, Notice, NoticeKind};
 pub use monitor::Monitor;

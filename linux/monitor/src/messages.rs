@@ -6,7 +6,7 @@ use cosmic_core::can::{Etag, Frame, TxNode};
 use cosmic_core::network::fragments::{MAX_MESSAGE_LEN, Reassembler, ReassemblyCounters};
 use cosmic_core::time::{Duration, Instant};
 
-use crate::digits::hex_bytes;
+use crate::digits::hex_text;
 use crate::snapshot::MessagesView;
 
 /// The messages that are on their way, and the last whole one.
@@ -29,7 +29,7 @@ pub(crate) struct Whole {
 impl Whole {
     /// Its bytes, hexadecimal.
     pub(crate) fn data(&self) -> String {
-        hex_bytes(&self.content)
+        hex_text(&self.content)
     }
 }
 

@@ -7,7 +7,7 @@ use cosmic_bus::{TrafficClass, WireFrame};
 use cosmic_core::can::{BitRate, Frame};
 use cosmic_core::time::Instant;
 use cosmic_linux::{Tap, Tapped, What};
-use cosmic_monitor::{Meaning, Monitor, Notice, hex_bytes};
+use cosmic_monitor::{Meaning, Monitor, Notice, hex_text};
 use tokio::time::MissedTickBehavior;
 
 use crate::browsers::Message;
@@ -156,7 +156,7 @@ impl Live {
 
     fn foreign(&self, frame: Option<&WireFrame>, at: Instant) -> Line {
         let bytes = frame.map_or_else(String::new, |frame| {
-            hex_bytes(frame.padded_data().get(..frame.data_len()).unwrap_or_default())
+            hex_text(frame.padded_data().get(..frame.data_len()).unwrap_or_default())
         });
         let duration = frame.map_or(0.0, |frame| self.on_the_bus(frame));
         Line(micros(at), duration, TrafficClass::Foreign as u8, None, None, None, bytes, Said::Nothing)

@@ -2,7 +2,7 @@
 
 use cosmic_core::Subject;
 use cosmic_core::event_layer::Delivered;
-use cosmic_monitor::{SegmentPlan, hex_bytes};
+use cosmic_monitor::{SegmentPlan, hex_text};
 use cosmic_plan::contents::Field;
 use cosmic_session::{Session, Subscription};
 use pyo3::exceptions::PyKeyError;
@@ -65,10 +65,10 @@ impl Event {
                 text += &words.join(" ");
             }
             Some(Err(why)) => {
-                text += &format!("{} (malformed: {why})", hex_bytes(&event.content));
+                text += &format!("{} (malformed: {why})", hex_text(&event.content));
                 malformed = Some(why);
             }
-            _ => text += &hex_bytes(&event.content),
+            _ => text += &hex_text(&event.content),
         }
         Ok(Self {
             channel,

@@ -10,7 +10,7 @@ use cosmic_core::event_layer::{
 };
 use cosmic_core::time;
 use cosmic_linux::{BrokerTables, Node, drawn_uid};
-use cosmic_monitor::{ByteMessages, DecodedField, SegmentPlan, hex_bytes};
+use cosmic_monitor::{ByteMessages, DecodedField, SegmentPlan, hex_text};
 use cosmic_session::{Declared, Events, LONGEST_MESSAGE, node_config};
 use serde::Serialize;
 
@@ -165,7 +165,7 @@ fn print(
     let plan = context.plan.as_ref();
     let decoded = plan.zip(at).map(|(plan, at)| plan.decode(at, &event.content));
     let node = plan.and_then(|plan| plan.node(event.publisher)).map(|node| node.name.clone());
-    let data = hex_bytes(&event.content);
+    let data = hex_text(&event.content);
     if context.output.json() {
         let publisher = event.publisher.get();
         let fields = decoded.and_then(Result::ok).unwrap_or_default();

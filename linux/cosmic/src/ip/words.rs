@@ -3,7 +3,7 @@
 use cosmic_core::Subject;
 use cosmic_core::time::Instant;
 use cosmic_gateway::ip::Heard;
-use cosmic_monitor::{DecodedField, SegmentPlan, class_name, hex_bytes};
+use cosmic_monitor::{DecodedField, SegmentPlan, class_name, hex_text};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -46,7 +46,7 @@ impl Line {
             number: Some(heard.number),
             missing: heard.missing,
             left_ns: left(heard.deadline, heard.received_at),
-            data: hex_bytes(&heard.content),
+            data: hex_text(&heard.content),
             fields,
             malformed,
         }
