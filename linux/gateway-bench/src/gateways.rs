@@ -27,6 +27,17 @@ pub struct State {
     pub outcomes: BTreeMap<String, u64>,
 }
 
+impl State {
+    /// What was counted since then, but for what was forwarded.
+    pub fn lost_since<'a>(&'a self, before: &'a Self) -> impl Iterator<Item = (&'a str, u64)> {
+        self.outcomes.iter().filter_map(|(what, count)| {
+            // Counters of a node that has started anew begin anew.
+            let more = count.saturating_sub(before.outcomes.get(what).copied().unwrap_or(0));
+            (more > 0 && !what.contains(FORWARDED)).then_some((what.as_str(), more))
+        })
+    }
+}
+
 /// Starts a process with the gateways of these configurations, on one core if one is named.
 ///
 /// # Errors
@@ -121,6 +132,6 @@ fn add(outcomes: &mut BTreeMap<String, u64>, direction: &str, counters: Option<&
 /// What this process is started as.
 pub const ROLE: &str = "gateways";
 /// In the outcomes of events that crossed.
-pub const FORWARDED: &str = "Forwarded";
+const FORWARDED: &str = "Forwarded";
 /// In the outcomes of those that were left to another gateway, which had perhaps gone.
 pub const PERHAPS_LOST: &str = "PerhapsLost";

@@ -5,7 +5,6 @@
 //! its own. The router, one gateway that sends, and the others that receive are three processes, so that what each costs
 //! is known by the time of processors that the kernel counts for it.
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,7 +18,7 @@ use crate::child::Child;
 use crate::config::{Channel, Setup, etag_of, free_port, number_of};
 use crate::cost::Cost;
 use crate::failed::Failed;
-use crate::gateways::{self, FORWARDED};
+use crate::gateways;
 use crate::latency::PATIENCE;
 use crate::wire::Wire;
 
@@ -130,7 +129,7 @@ pub fn measure(folder: &Path, segments: usize, subjects: usize, events: u64) -> 
     let of_gateways = |costs: &[Cost; 3]| (costs[1].cpu + costs[2].cpu) as f64;
     let live = |costs: &[Cost; 3]| (costs[1].live + costs[2].live) as f64 / 1e6;
     let sent = Instant::now();
-    let (heard, counted) = (bed.heard(), bed.outcomes()?);
+    let (heard, counted) = (bed.heard(), gateways::state(&mut bed.receive)?);
     bed.send(events);
     // Whole periods of what goes on anyway, so that this can be taken off.
     std::thread::sleep(IDLE - Span::from_nanos((sent.elapsed().as_nanos() % IDLE.as_nanos()) as u64));
@@ -139,11 +138,8 @@ pub fn measure(folder: &Path, segments: usize, subjects: usize, events: u64) -> 
     let arrived = bed.heard() - heard;
     let others = (segments - 1) as f64;
     if arrived < events * (segments as u64 - 1) {
-        let lost = bed.outcomes()?.into_iter().filter_map(|(what, count)| {
-            let more = count - counted.get(&what).copied().unwrap_or(0);
-            (more > 0 && !what.contains(FORWARDED)).then(|| format!("{what} {more}"))
-        });
-        let lost: Vec<_> = lost.collect();
+        let now = gateways::state(&mut bed.receive)?;
+        let lost: Vec<_> = now.lost_since(&counted).map(|(what, count)| format!("{what} {count}")).collect();
         eprintln!("gateway-bench: not all arrived; those that get counted: {}", lost.join(", "));
     }
     let more = |at: usize| {
@@ -216,11 +212,6 @@ impl Bed {
     fn costs(&mut self) -> Result<[Cost; 3], Failed> {
         let [sends, receive] = [&mut self.sends, &mut self.receive].map(gateways::state);
         Ok([self.router.ask("cost")?, sends?.cost, receive?.cost])
-    }
-
-    /// What became of events at the gateways that get them.
-    fn outcomes(&mut self) -> Result<BTreeMap<String, u64>, Failed> {
-        Ok(gateways::state(&mut self.receive)?.outcomes)
     }
 
     /// Until each knows the clocks of all others, and what goes on behind has ended.

@@ -13,7 +13,7 @@ use serde::Serialize;
 use crate::child::Child;
 use crate::config::{Channel, Setup, etag_of, free_port, number_of};
 use crate::failed::Failed;
-use crate::gateways::{self, FORWARDED, PERHAPS_LOST, State};
+use crate::gateways::{self, PERHAPS_LOST, State};
 use crate::latency::PATIENCE;
 use crate::wire::Wire;
 
@@ -144,12 +144,8 @@ pub fn measure(folder: &Path, rate: u32, seconds: u64) -> Result<Throughput, Fai
 fn losses(before: &[State; 2], after: &[State; 2]) -> BTreeMap<String, u64> {
     let mut lost = BTreeMap::new();
     for ((before, after), place) in before.iter().zip(after).zip(["first gateway", "second gateway"]) {
-        for (what, count) in &after.outcomes {
-            let more = count - before.outcomes.get(what).copied().unwrap_or(0);
-            if more > 0 && !what.contains(FORWARDED) && !what.contains(PERHAPS_LOST) {
-                lost.insert(format!("{place}, {what}"), more);
-            }
-        }
+        let counted = after.lost_since(before).filter(|(what, _)| !what.contains(PERHAPS_LOST));
+        lost.extend(counted.map(|(what, count)| (format!("{place}, {what}"), count)));
     }
     lost
 }
