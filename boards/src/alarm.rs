@@ -27,7 +27,7 @@ impl Alarm {
         Self { waker: CriticalSectionWakerRegistration::new() }
     }
 
-    /// Waits until `instant` or until `other` has ended. One task at a time: another one's waiting would end.
+    /// Waits until `instant` or until `other` has ended. One task at a time: two would wake each other in turns.
     #[inline]
     pub(crate) async fn until<C: Compare>(&self, instant: u64, other: impl Future<Output = ()>) {
         let mut other = pin!(other);

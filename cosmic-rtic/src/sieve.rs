@@ -16,7 +16,8 @@ pub(crate) struct Sieve {
 }
 
 impl Sieve {
-    /// Nothing but the protocol passes. All zeros, so that the static that this is a part of takes no flash.
+    /// Nothing but the protocol passes, and what has TxNode 0. All zeros, so that the static that this is a part of takes no
+    /// flash.
     pub(crate) const fn new() -> Self {
         let etags = [const { AtomicU32::new(0) }; Interest::WORDS];
         Self { etags, tx_node: AtomicU8::new(0), foreign: AtomicU32::new(0) }

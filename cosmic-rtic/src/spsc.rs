@@ -92,11 +92,11 @@ impl<T: Copy> Consumer<T> {
     /// Takes the item that has waited longest, if there is one: `look` sees it where it is.
     #[inline]
     pub(crate) fn take<R>(&mut self, look: impl FnOnce(&T) -> R) -> Option<R> {
-        if !self.has_item() {
-            return None;
-        }
         let ring = self.ring;
         let taken = ring.taken.load(Ordering::Relaxed);
+        if ring.written.load(Ordering::Acquire) == taken {
+            return None;
+        }
         let place = ring.place(taken)?;
         // SAFETY: `written` is beyond this place, so that the producer has written it, and does not write it again before
         // `taken` has gone on. There is no other consumer.
