@@ -208,7 +208,7 @@ fn top_draws_what_crosses() {
 fn what_needs_a_bus_is_refused_in_one_line() {
     let nobody = format!("zenoh:tcp/127.0.0.1:{}", port());
     let network = ["--network", "test"];
-    let cases: [(&[&str], i32, &str); 13] = [
+    let cases: [(&[&str], i32, &str); 15] = [
         (&["record", "a.log"], 2, "looks at the frames of a bus"),
         (&["replay", "docs/tasks/rover.log"], 2, "looks at the frames of a bus"),
         (&["doctor"], 2, "looks at the frames of a bus"),
