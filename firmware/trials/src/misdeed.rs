@@ -19,6 +19,8 @@ pub enum Misdeed {
     Masks,
     /// A fault.
     Faults,
+    /// The stack outgrows its place.
+    Overflows,
     /// All interrupts are masked, for so many microseconds.
     Pauses(u32),
 }
@@ -33,6 +35,7 @@ impl Misdeed {
             b'L' => Self::Locks,
             b'M' => Self::Masks,
             b'F' => Self::Faults,
+            b'O' => Self::Overflows,
             // Short of, and beyond, what a FIFO of three holds of frames of a tenth of a millisecond.
             b'3' => Self::Pauses(280),
             b'4' => Self::Pauses(900),
@@ -55,6 +58,7 @@ impl Misdeed {
                 turn_in_circles()
             }
             Self::Faults => cortex_m::asm::udf(),
+            Self::Overflows => overflow(0),
             Self::Pauses(us) => {
                 let end = T::Board::now() + Duration::from_micros(us.into());
                 cortex_m::interrupt::free(|_| while T::Board::now() < end {});
@@ -67,6 +71,17 @@ fn turn_in_circles() -> ! {
     loop {
         cortex_m::asm::nop();
     }
+}
+
+/// Calls itself without end.
+#[inline(never)]
+#[expect(unconditional_recursion, reason = "that is the misdeed")]
+fn overflow(depth: u32) {
+    let mut place = [depth; 64];
+    // What it puts on the stack is seen from outside, so that it must be there, and after the call, too.
+    core::hint::black_box(&mut place);
+    overflow(depth + 1);
+    core::hint::black_box(&mut place);
 }
 
 const UNIQUE_ID: *const u8 = 0x1FFF_7A10 as *const u8;

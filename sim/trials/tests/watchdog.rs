@@ -76,6 +76,18 @@ fn a_worker_that_hangs_is_reset_and_takes_part_again() {
 }
 
 #[test]
+fn a_stack_that_outgrows_its_place_is_stopped_at_its_end() {
+    let (trial, reset) = run("worker", b'O');
+    // It lies at the lower end of RAM, so nothing was overwritten: see memory.x.
+    let odd = trial.oddities();
+    let [stopped] = odd.as_slice() else { panic!("{odd:#?}") };
+    let hole = "stopped by write of unmapped or protected address 0x1ffff";
+    assert!(stopped.starts_with("worker") && stopped.contains(hole), "{stopped}");
+    goes_on(&trial, reset, 0);
+    assert!(trial.said("worker", "started by Watchdog", reset));
+}
+
+#[test]
 fn what_a_node_knew_before_its_reset_it_tells_after_it() {
     // The application waits for ever, and its slots pass unused: the others of its tasks go on until the reset.
     let (trial, reset) = run("worker", b'W');
