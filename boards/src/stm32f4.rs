@@ -247,18 +247,19 @@ impl<W: Wiring> Board for Stm32F4<W> {
     }
 
     #[inline]
-    async fn delay_until(instant: Instant) {
-        clock::delay_until(instant).await;
+    // A future that another one holds would be kept beside what it was made of.
+    fn delay_until(instant: Instant) -> impl Future<Output = ()> {
+        clock::delay_until(instant)
     }
 
     #[inline]
-    async fn until(instant: Instant, other: impl Future<Output = ()>) {
-        clock::until(instant, other).await;
+    fn until(instant: Instant, other: impl Future<Output = ()>) -> impl Future<Output = ()> {
+        clock::until(instant, other)
     }
 
     #[inline]
-    async fn calendar_until(instant: Instant, other: impl Future<Output = ()>) {
-        clock::calendar_until(instant, other).await;
+    fn calendar_until(instant: Instant, other: impl Future<Output = ()>) -> impl Future<Output = ()> {
+        clock::calendar_until(instant, other)
     }
 
     fn split(self) -> BoardParts<Self> {

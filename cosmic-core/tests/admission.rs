@@ -62,7 +62,7 @@ fn done(client: &mut Client, now: Instant) -> (Vec<String>, Vec<AdmissionEvent>)
 
 /// One channel, asked for at 1 ms as number 4.
 fn asking() -> Client {
-    let mut client = Client::new(2, TIMING);
+    let mut client = Client::new(2, &TIMING);
     client.set_tx_node(at(0), Some(ME));
     client.announce(at(0), SUBJECT, &offer(10, 5)).unwrap();
     assert_eq!(done(&mut client, at(0)), (vec![], vec![]), "it has no etag yet");
@@ -200,7 +200,7 @@ fn another_short_name_is_another_question() {
 
 #[test]
 fn what_cannot_be_asked_for() {
-    let mut client = Client::new(0, TIMING);
+    let mut client = Client::new(0, &TIMING);
     let of = |rate: Option<EventRate>, deadline, len| Offer { rate, deadline, len };
     let rate = EventRate::sporadic(Duration::from_millis(1));
     let long = rate.with_jitter(Duration::from_secs(3600 * 24 * 20));
@@ -353,7 +353,7 @@ fn clusters(seed: u64, loss: u64) {
     let mut control = Control::new(&FREE, TIMING);
     control.set_role(at(0), BrokerRole::Active);
     let status = BrokerStatus { tx_node: TxNode::MIN, uid: NodeUid::MIN }.encode();
-    let mut clients: Vec<Client> = (0..6).map(|number| Client::new(number, TIMING)).collect();
+    let mut clients: Vec<Client> = (0..6).map(|number| Client::new(number, &TIMING)).collect();
     let channel =
         |number: usize| (Subject::new(1 + number as u64).unwrap(), Etag::new(2_000 + number as u16));
     for (number, client) in clients.iter_mut().enumerate() {

@@ -4,7 +4,7 @@ use core::marker::PhantomData;
 
 use cosmic_core::Subject;
 use cosmic_core::can::Payload;
-use cosmic_core::event_layer::{Channel, Content, Delivered, Exception, Filter, Policy, PublishError};
+use cosmic_core::event_layer::{Content, Delivered, Exception, Filter, Policy, PublishError};
 use cosmic_core::plan::ChannelPlan;
 use cosmic_core::time::Instant;
 use cosmic_rtic::{CalendarObserver, Observer, Observes};
@@ -72,25 +72,19 @@ impl<S: Sink, C: CalendarObserver> Observer for Recorder<S, C> {
 }
 
 impl<T: Content, S: Sink, C: CalendarObserver> Observes<T> for Recorder<S, C> {
-    fn published(
-        &mut self,
-        channel: &Channel<T>,
-        content: &T,
-        at: Instant,
-        result: Result<(), PublishError>,
-    ) {
+    fn published(&mut self, subject: Subject, content: &T, at: Instant, result: Result<(), PublishError>) {
         let (len, digest) = described(content);
         let kind = match result {
             Ok(()) => RecordKind::Published { len, digest },
             Err(error) => RecordKind::Refused { digest, queue_full: error == PublishError::QueueFull },
         };
-        self.write(Some(channel.subject()), at, kind);
+        self.write(Some(subject), at, kind);
     }
 
-    fn delivered(&mut self, channel: &Channel<T>, event: &Delivered<T>, at: Instant) {
+    fn delivered(&mut self, subject: Subject, event: &Delivered<T>, at: Instant) {
         let (publisher, visible_at) = (event.publisher, event.received_at);
         let digest = described(&event.content).1;
-        self.write(Some(channel.subject()), at, RecordKind::Delivered { digest, publisher, visible_at });
+        self.write(Some(subject), at, RecordKind::Delivered { digest, publisher, visible_at });
     }
 }
 

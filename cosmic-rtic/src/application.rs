@@ -5,6 +5,7 @@ use core::future::poll_fn;
 use core::marker::PhantomData;
 use core::task::{Poll, Waker};
 
+use cosmic_core::Subject;
 use cosmic_core::calendar::Slot;
 use cosmic_core::event_layer::{
     AnnounceError, Channel, Content, Delivered, Event, Exception, Filter, Policy, Publication, PublishError,
@@ -22,14 +23,14 @@ use crate::system::System;
 /// The right to publish on a channel.
 #[derive(Debug)]
 pub struct Publisher<C> {
-    channel: Channel<C>,
+    subject: Subject,
     publication: Publication<C>,
 }
 
 /// A subscription to a channel.
 #[derive(Debug)]
 pub struct Subscriber<C> {
-    channel: Channel<C>,
+    subject: Subject,
     subscription: Subscription<C>,
 }
 
@@ -44,7 +45,7 @@ impl<C: Content> Publisher<C> {
         node: &mut impl Mutex<T = Node<T>>,
     ) -> Result<Self, AnnounceError> {
         let publication = node.lock(|node| node.announce(channel))?;
-        Ok(Self { channel: *channel, publication })
+        Ok(Self { subject: channel.subject(), publication })
     }
 
     /// Publishes an event of now.
@@ -72,13 +73,13 @@ impl<C: Content> Publisher<C> {
     where
         T: System<Observer: Observes<C>>,
     {
-        node.lock(|node| node.publish(&self.channel, &self.publication, event))
+        node.lock(|node| node.publish(self.subject, &self.publication, event))
     }
 
     /// Waits until the node has its TxNode and the channel its etag, where a broker gives them. Before that, publishing
     /// is refused.
     pub async fn bound<T: System>(&self, node: &mut impl Mutex<T = Node<T>>) {
-        while !node.lock(|node| node.is_bound(self.channel.subject())) {
+        while !node.lock(|node| node.is_bound(self.subject)) {
             T::Board::delay_until(T::Board::now() + BETWEEN_LOOKS).await;
         }
     }
@@ -113,7 +114,7 @@ impl<C: Content> Subscriber<C> {
         node: &mut impl Mutex<T = Node<T>>,
     ) -> Result<Self, SubscribeError> {
         let subscription = node.lock(|node| node.subscribe(channel, filter, policy))?;
-        Ok(Self { channel: *channel, subscription })
+        Ok(Self { subject: channel.subject(), subscription })
     }
 
     /// Waits for the next event.
@@ -121,8 +122,8 @@ impl<C: Content> Subscriber<C> {
     where
         T: System<Observer: Observes<C>>,
     {
-        let Self { channel, subscription } = self;
-        poll_fn(|context| node.lock(|node| node.poll_next(channel, subscription, context.waker()))).await
+        let Self { subject, subscription } = self;
+        poll_fn(|context| node.lock(|node| node.poll_next(*subject, subscription, context.waker()))).await
     }
 
     /// The next event, if there is one.
@@ -130,14 +131,14 @@ impl<C: Content> Subscriber<C> {
     where
         T: System<Observer: Observes<C>>,
     {
-        let Self { channel, subscription } = self;
-        let next = node.lock(|node| node.poll_next(channel, subscription, Waker::noop()));
+        let Self { subject, subscription } = self;
+        let next = node.lock(|node| node.poll_next(*subject, subscription, Waker::noop()));
         if let Poll::Ready(event) = next { Some(event) } else { None }
     }
 
     /// Gives up the subscription, with the events that wait for it.
     pub fn cancel<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
-        node.lock(|node| node.cancel_subscription(&self.channel, self.subscription));
+        node.lock(|node| node.cancel_subscription(self.subject, self.subscription));
     }
 }
 

@@ -3,7 +3,7 @@
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use cosmic_core::event_half::Input;
+use cosmic_core::event_half::{Capacity, Input, Sizes};
 use cosmic_core::time::Instant;
 
 use crate::signal::Signal;
@@ -16,15 +16,53 @@ pub(crate) struct Item {
     pub(crate) at: Instant,
 }
 
+/// A capacity whose queues between interrupts and the event task have their places: each that
+/// [`capacity!`](cosmic_core::capacity) names.
+pub trait Queued: Capacity {
+    /// The queues, before they are split.
+    type Queues: Send + 'static;
+
+    /// Nothing waits.
+    const EMPTY: Self::Queues;
+
+    /// Takes the queues apart. Once, since it borrows them for good.
+    fn split(queues: &'static mut Self::Queues) -> Ends;
+}
+
+impl<
+    const SLOTS: usize,
+    const CHANNELS: usize,
+    const SUBSCRIPTIONS: usize,
+    const EVENTS: usize,
+    const SOFT: usize,
+    const NRT: usize,
+    const FRAMES: usize,
+    const OUTCOMES: usize,
+    const NOTICES: usize,
+> Queued for Sizes<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, FRAMES, OUTCOMES, NOTICES>
+{
+    type Queues = Queues<FRAMES, OUTCOMES, NOTICES>;
+
+    #[expect(clippy::declare_interior_mutable_const, reason = "what a static begins with")]
+    const EMPTY: Self::Queues = Queues::new();
+
+    fn split(queues: &'static mut Self::Queues) -> Ends {
+        queues.split()
+    }
+}
+
 /// The queues, before they are split.
-pub(crate) struct Queues {
-    frames: Queue<Item, 32>,
-    urgent: Queue<Item, 8>,
-    outcomes: Queue<Item, 8>,
-    notices: Queue<Item, 16>,
+pub struct Queues<const FRAMES: usize, const OUTCOMES: usize, const NOTICES: usize> {
+    frames: Queue<Item, FRAMES>,
+    urgent: Queue<Item, URGENT>,
+    outcomes: Queue<Item, OUTCOMES>,
+    notices: Queue<Item, NOTICES>,
     counts: Counts,
     wake_calendar: Signal,
 }
+
+/// Frames of the urgent FIFO that wait: those of the clock. Hard real-time frames go into their buffers.
+const URGENT: usize = 4;
 
 /// Wakes the event task.
 pub(crate) struct Wake {
@@ -85,7 +123,7 @@ pub(crate) struct Inbox {
 }
 
 /// The ends of the queues, for their owners.
-pub(crate) struct Ends {
+pub struct Ends {
     pub(crate) frames: Sender,
     pub(crate) urgent: Sender,
     pub(crate) outcomes: Sender,
@@ -98,8 +136,8 @@ pub(crate) struct Ends {
     pub(crate) wake_calendar: &'static Signal,
 }
 
-impl Queues {
-    pub(crate) const fn new() -> Self {
+impl<const FRAMES: usize, const OUTCOMES: usize, const NOTICES: usize> Queues<FRAMES, OUTCOMES, NOTICES> {
+    const fn new() -> Self {
         Self {
             frames: Queue::new(),
             urgent: Queue::new(),
@@ -115,8 +153,7 @@ impl Queues {
         }
     }
 
-    /// Takes the queues apart. Once, since it borrows them for good.
-    pub(crate) fn split(&'static mut self) -> Ends {
+    fn split(&'static mut self) -> Ends {
         let (frames_in, frames) = self.frames.split();
         let (urgent_in, urgent) = self.urgent.split();
         let (outcomes_in, outcomes) = self.outcomes.split();

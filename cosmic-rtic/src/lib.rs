@@ -60,6 +60,7 @@ pub use application::{
 };
 pub use board::Board;
 pub use hard::Hard;
+pub use inbox::Queued;
 pub use kept::{KEPT, Kept, Memory};
 #[cfg(feature = "defmt")]
 pub use log::Log;

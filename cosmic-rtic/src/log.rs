@@ -1,6 +1,7 @@
 //! An observer that logs.
 
-use cosmic_core::event_layer::{Channel, Content, Exception, PublishError};
+use cosmic_core::Subject;
+use cosmic_core::event_layer::{Content, Exception, PublishError};
 use cosmic_core::time::Instant;
 
 use crate::observer::{Observer, Observes};
@@ -19,9 +20,9 @@ impl Observer for Log {
 }
 
 impl<C: Content> Observes<C> for Log {
-    fn published(&mut self, channel: &Channel<C>, _: &C, _: Instant, result: Result<(), PublishError>) {
+    fn published(&mut self, subject: Subject, _: &C, _: Instant, result: Result<(), PublishError>) {
         if let Err(error) = result {
-            defmt::warn!("an event of {} was not published: {}", channel.subject(), error);
+            defmt::warn!("an event of {} was not published: {}", subject, error);
         }
     }
 }

@@ -7,9 +7,10 @@ use core::marker::PhantomData;
 use core::task::{Poll, Waker};
 
 use cosmic_core::Half as _;
+use cosmic_core::Subject;
 use cosmic_core::can::{Payload, TxNode};
 use cosmic_core::event_layer::{
-    self, AnnounceError, Channel, Content, Delivered, Depth, Filter, MessageChannel, Policy, PublishError,
+    self, AnnounceError, Content, Delivered, Depth, Filter, MessageChannel, Policy, PublishError,
     SubscribeError,
 };
 use cosmic_core::network::fragments::ReassemblyCounters;
@@ -25,7 +26,7 @@ use crate::system::System;
 /// The right to publish messages of up to `LEN` bytes on a channel. One for each channel and node.
 #[derive(Debug)]
 pub struct MessagePublisher<C, const LEN: usize> {
-    fragments: Channel<Payload>,
+    subject: Subject,
     inner: event_layer::MessagePublisher<LEN>,
     content: PhantomData<fn(&C)>,
 }
@@ -33,7 +34,7 @@ pub struct MessagePublisher<C, const LEN: usize> {
 /// A subscription to a channel of messages of up to `LEN` bytes, from up to `PUBLISHERS` nodes at once.
 #[derive(Debug)]
 pub struct MessageSubscriber<C, const LEN: usize, const PUBLISHERS: usize> {
-    fragments: Channel<Payload>,
+    subject: Subject,
     inner: event_layer::MessageSubscriber<PUBLISHERS, LEN>,
     content: PhantomData<fn() -> C>,
 }
@@ -68,10 +69,10 @@ impl<C: Content, const LEN: usize> MessagePublisher<C, LEN> {
         channel: &MessageChannel<C, LEN, PUBLISHERS>,
         node: &mut impl Mutex<T = Node<T>>,
     ) -> Result<Self, AnnounceError> {
-        let fragments = *channel.fragments();
-        let publication = node.lock(|node| node.announce(&fragments))?;
+        let fragments = channel.fragments();
+        let publication = node.lock(|node| node.announce(fragments))?;
         let inner = event_layer::MessagePublisher::new(publication);
-        Ok(Self { fragments, inner, content: PhantomData })
+        Ok(Self { subject: fragments.subject(), inner, content: PhantomData })
     }
 
     /// Sends a message, and waits until all of it has left the node. Frames of others come in between.
@@ -101,8 +102,8 @@ impl<C: Content, const LEN: usize> MessagePublisher<C, LEN> {
         T: System<Observer: Observes<Payload>>,
     {
         let discarded = self.inner.discarded();
-        let (fragments, publisher) = (&self.fragments, &mut self.inner);
-        poll_fn(|context| node.lock(|node| node.poll_departure(fragments, publisher, context.waker())))
+        let (subject, publisher) = (self.subject, &mut self.inner);
+        poll_fn(|context| node.lock(|node| node.poll_departure(subject, publisher, context.waker())))
             .await
             .map_err(MessageError::Publish)?;
         if self.inner.discarded() == discarded { Ok(()) } else { Err(MessageError::Discarded) }
@@ -125,10 +126,10 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C,
         time_out: Duration,
         node: &mut impl Mutex<T = Node<T>>,
     ) -> Result<Self, SubscribeError> {
-        let fragments = *channel.fragments();
-        let subscription = node.lock(|node| node.subscribe(&fragments, Filter::ALL, FRAGMENTS))?;
+        let fragments = channel.fragments();
+        let subscription = node.lock(|node| node.subscribe(fragments, Filter::ALL, FRAGMENTS))?;
         let inner = event_layer::MessageSubscriber::new(subscription, time_out);
-        Ok(Self { fragments, inner, content: PhantomData })
+        Ok(Self { subject: fragments.subject(), inner, content: PhantomData })
     }
 
     /// Waits for the next message. One whose bytes are no value of the channel's type is passed over, with
@@ -137,8 +138,8 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C,
     where
         T: System<Observer: Observes<Payload>>,
     {
-        let (fragments, subscriber) = (&self.fragments, &mut self.inner);
-        poll_fn(|context| node.lock(|node| node.poll_message(fragments, subscriber, context.waker()))).await
+        let (subject, subscriber) = (self.subject, &mut self.inner);
+        poll_fn(|context| node.lock(|node| node.poll_message(subject, subscriber, context.waker()))).await
     }
 
     /// What was delivered and dropped.
@@ -148,7 +149,7 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C,
 
     /// Gives up the subscription, with what has arrived of messages.
     pub fn cancel<T: System>(self, node: &mut impl Mutex<T = Node<T>>) {
-        node.lock(|node| node.cancel_subscription(&self.fragments, self.inner.into_subscription()));
+        node.lock(|node| node.cancel_subscription(self.subject, self.inner.into_subscription()));
     }
 }
 
@@ -183,7 +184,7 @@ where
     /// Sends the next frame of a message if it is time to; ready when none is left.
     fn poll_departure<const LEN: usize>(
         &mut self,
-        fragments: &Channel<Payload>,
+        subject: Subject,
         publisher: &mut event_layer::MessagePublisher<LEN>,
         waker: &Waker,
     ) -> Poll<Result<(), PublishError>> {
@@ -196,7 +197,7 @@ where
         self.wake.something_due();
         let (after, fragment) = publisher.last_fragment();
         if after != before {
-            self.observer.published(fragments, &fragment, now, sent);
+            self.observer.published(subject, &fragment, now, sent);
         }
         sent?;
         if publisher.is_idle() {
@@ -208,13 +209,13 @@ where
 
     fn poll_message<C: Content, const PLACES: usize, const LEN: usize>(
         &mut self,
-        fragments: &Channel<Payload>,
+        subject: Subject,
         subscriber: &mut event_layer::MessageSubscriber<PLACES, LEN>,
         waker: &Waker,
     ) -> Poll<Message<C>> {
         let Self { half, observer, .. } = self;
         let now = T::Board::now();
-        let each = |fragment: &Delivered<Payload>| observer.delivered(fragments, fragment, now);
+        let each = |fragment: &Delivered<Payload>| observer.delivered(subject, fragment, now);
         half.poll_message(subscriber, now, waker, each, |message| {
             let content = C::decode(message.content)?;
             Some(Message { content, publisher: message.publisher })

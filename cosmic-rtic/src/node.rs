@@ -91,14 +91,14 @@ impl<T: System> Node<T> {
         clock.to_local(ready).saturating_sub(lead)
     }
 
-    /// Publishes an event of now, and tells the observer.
+    /// Publishes an event of now on the channel of this subject, and tells the observer.
     ///
     /// # Errors
     /// The event is not sent.
     #[inline]
     pub fn publish<C: Content>(
         &mut self,
-        channel: &Channel<C>,
+        subject: Subject,
         publication: &Publication<C>,
         event: &Event<C>,
     ) -> Result<(), PublishError>
@@ -109,7 +109,7 @@ impl<T: System> Node<T> {
         let result = self.half.publish(now, publication, event).map(|due| self.carry_out(due));
         // There may be more to do than could be done at once, or something to be done later.
         self.wake.something_due();
-        self.observer.published(channel, &event.content, now, result);
+        self.observer.published(subject, &event.content, now, result);
         result
     }
 
@@ -167,17 +167,17 @@ impl<T: System> Node<T> {
 
     pub(crate) fn cancel_subscription<C: Content>(
         &mut self,
-        channel: &Channel<C>,
+        subject: Subject,
         subscription: Subscription<C>,
     ) {
         self.half.cancel_subscription(subscription);
         self.wake_both();
-        self.observer.cancelled(channel.subject(), T::Board::now());
+        self.observer.cancelled(subject, T::Board::now());
     }
 
     pub(crate) fn poll_next<C: Content>(
         &mut self,
-        channel: &Channel<C>,
+        subject: Subject,
         subscription: &Subscription<C>,
         waker: &Waker,
     ) -> Poll<Delivered<C>>
@@ -186,7 +186,7 @@ impl<T: System> Node<T> {
     {
         let delivered = self.half.poll_next(subscription, waker);
         if let Poll::Ready(event) = &delivered {
-            self.observer.delivered(channel, event, T::Board::now());
+            self.observer.delivered(subject, event, T::Board::now());
         }
         delivered
     }

@@ -4,7 +4,7 @@
 //! [`Observer`] are called while the node is locked, so they should be short.
 
 use cosmic_core::Subject;
-use cosmic_core::event_layer::{Channel, Delivered, Exception, Filter, Policy, PublishError};
+use cosmic_core::event_layer::{Delivered, Exception, Filter, Policy, PublishError};
 use cosmic_core::time::Instant;
 
 /// Is told what happens at a node. What happens to events it is told by [`Observes`].
@@ -34,19 +34,13 @@ pub trait Observer: 'static {
 /// Is told what happens to events with content `C`.
 pub trait Observes<C>: Observer {
     /// The application has handed an event to the middleware, which took it or not.
-    fn published(
-        &mut self,
-        channel: &Channel<C>,
-        content: &C,
-        at: Instant,
-        result: Result<(), PublishError>,
-    ) {
-        let _ = (channel, content, at, result);
+    fn published(&mut self, subject: Subject, content: &C, at: Instant, result: Result<(), PublishError>) {
+        let _ = (subject, content, at, result);
     }
 
     /// The application has taken an event.
-    fn delivered(&mut self, channel: &Channel<C>, event: &Delivered<C>, at: Instant) {
-        let _ = (channel, event, at);
+    fn delivered(&mut self, subject: Subject, event: &Delivered<C>, at: Instant) {
+        let _ = (subject, event, at);
     }
 }
 
@@ -96,20 +90,14 @@ impl<A: Observer, B: Observer> Observer for (A, B) {
 }
 
 impl<C, A: Observes<C>, B: Observes<C>> Observes<C> for (A, B) {
-    fn published(
-        &mut self,
-        channel: &Channel<C>,
-        content: &C,
-        at: Instant,
-        result: Result<(), PublishError>,
-    ) {
-        self.0.published(channel, content, at, result);
-        self.1.published(channel, content, at, result);
+    fn published(&mut self, subject: Subject, content: &C, at: Instant, result: Result<(), PublishError>) {
+        self.0.published(subject, content, at, result);
+        self.1.published(subject, content, at, result);
     }
 
-    fn delivered(&mut self, channel: &Channel<C>, event: &Delivered<C>, at: Instant) {
-        self.0.delivered(channel, event, at);
-        self.1.delivered(channel, event, at);
+    fn delivered(&mut self, subject: Subject, event: &Delivered<C>, at: Instant) {
+        self.0.delivered(subject, event, at);
+        self.1.delivered(subject, event, at);
     }
 }
 

@@ -7,7 +7,7 @@ use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-/// The places of a queue for `S::len()` items: all of them can be in use.
+/// The places of a queue for `S::len()` items: all of them can be in use. There may be none.
 ///
 /// `written` and `taken` count for ever, and wrap: the difference is the number of items that wait.
 pub(crate) struct Ring<S: ?Sized> {
@@ -40,7 +40,7 @@ unsafe impl<T: Send> Send for Consumer<T> {}
 impl<T: Copy, const N: usize> Ring<[Place<T>; N]> {
     /// Nothing waits.
     pub(crate) const fn new() -> Self {
-        const { assert!(N.is_power_of_two(), "the number of places must be a power of two") };
+        const { assert!(N == 0 || N.is_power_of_two(), "the number of places must be a power of two") };
         Self {
             written: AtomicU32::new(0),
             taken: AtomicU32::new(0),
@@ -56,7 +56,7 @@ impl<T: Copy, const N: usize> Ring<[Place<T>; N]> {
 }
 
 impl<T> Ring<[Place<T>]> {
-    /// The place with this number. `None` does not occur: the mask keeps the number within the length.
+    /// The place with this number. `None` does not occur where there are any: the mask keeps the number within the length.
     #[inline]
     fn place(&self, number: u32) -> Option<&Place<T>> {
         let mask = self.places.len().wrapping_sub(1);
@@ -128,6 +128,13 @@ mod tests {
             assert!((0..4).all(|n| consumer.take(|n| *n) == Some(10 * turn + n)));
             assert_eq!(consumer.take(|n| *n), None);
         }
+    }
+
+    #[test]
+    fn a_queue_without_places_refuses_everything() {
+        let (mut producer, mut consumer) = ends::<0>();
+        assert!(!producer.put(1) && !consumer.has_item());
+        assert_eq!(consumer.take(|n| *n), None);
     }
 
     #[test]

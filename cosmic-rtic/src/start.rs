@@ -11,7 +11,7 @@ use cosmic_core::time::Duration;
 use crate::board::{Board, BoardParts};
 use crate::departures::Departures;
 use crate::hard::{Hard, HardCell};
-use crate::inbox::Queues;
+use crate::inbox::Queued;
 use crate::node::Node;
 use crate::observer::Observer;
 use crate::sieve::Sieve;
@@ -21,7 +21,7 @@ use crate::tasks::{Calendar, Events, Other, Outcomes, Receiver, Status, Urgent};
 /// Where a node is: the queues between its tasks, the HRT message buffers, and its event-triggered half. One for each
 /// app, in the `local` resources of its `init`.
 pub struct Storage<T: System> {
-    queues: Queues,
+    queues: <T::Capacity as Queued>::Queues,
     sieve: Sieve,
     hard: HardCell<Buffers<T>>,
     half: MaybeUninit<Half<T>>,
@@ -31,7 +31,7 @@ impl<T: System> Storage<T> {
     /// Nothing has happened yet.
     pub const fn new() -> Self {
         Self {
-            queues: Queues::new(),
+            queues: <T::Capacity as Queued>::EMPTY,
             sieve: Sieve::new(),
             hard: HardCell::new(),
             half: MaybeUninit::uninit(),
@@ -105,7 +105,7 @@ pub fn start_with<T: System>(
     // Services whose time never changes do not tell it later.
     Hard::new(hard).with(|buffers| T::Capacity::set_clock(buffers, services.clock()));
     let tx_node = services.tx_node(plan);
-    let ends = queues.split();
+    let ends = T::Capacity::split(queues);
     let BoardParts { hard: mailbox, soft, non_real_time, outcomes, urgent, other, status, changes } =
         board.split();
     Parts {

@@ -14,6 +14,7 @@ use cosmic_core::{Capacity, Half as _, Subject};
 
 use crate::board::Board;
 use crate::hard::Hard;
+use crate::inbox::Queued;
 use crate::observer::Observer;
 
 /// What a node is made of: everything in this crate is generic over it.
@@ -38,7 +39,7 @@ pub trait System: 'static {
     /// The board.
     type Board: Board;
     /// How much the node has room for.
-    type Capacity: Capacity;
+    type Capacity: Queued;
     /// The services that it takes part in.
     type Services: Timed;
     /// Who is told of what happens: `()` is nobody, and costs nothing.

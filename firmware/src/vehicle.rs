@@ -3,7 +3,7 @@
 use boards::stm32f4::{MeasuringPoint, MeasuringPoints, Resources};
 use cosmic_core::Subject;
 use cosmic_core::can::TxNode;
-use cosmic_core::event_layer::{Channel, Content, Delivered, Exception, Filter, Policy, PublishError};
+use cosmic_core::event_layer::{Content, Delivered, Exception, Filter, Policy, PublishError};
 use cosmic_core::plan::NodePlan;
 use cosmic_core::services::ClockService;
 use cosmic_core::time::Instant;
@@ -91,22 +91,16 @@ impl Observer for Reporter {
 }
 
 impl<C: Content> Observes<C> for Reporter {
-    fn published(
-        &mut self,
-        channel: &Channel<C>,
-        content: &C,
-        at: Instant,
-        result: Result<(), PublishError>,
-    ) {
+    fn published(&mut self, subject: Subject, content: &C, at: Instant, result: Result<(), PublishError>) {
         self.published.toggle();
-        self.records.published(channel, content, at, result);
+        self.records.published(subject, content, at, result);
         if let Err(error) = result {
-            defmt::warn!("an event of {} was not published: {}", channel.subject(), error);
+            defmt::warn!("an event of {} was not published: {}", subject, error);
         }
     }
 
-    fn delivered(&mut self, channel: &Channel<C>, event: &Delivered<C>, at: Instant) {
-        self.records.delivered(channel, event, at);
+    fn delivered(&mut self, subject: Subject, event: &Delivered<C>, at: Instant) {
+        self.records.delivered(subject, event, at);
     }
 }
 

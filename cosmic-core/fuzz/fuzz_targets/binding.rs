@@ -8,7 +8,7 @@ use cosmic_core_fuzz::{Act, Script, check_wakeup, drain, subject, tx_node};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    let mut client = Binding::<3>::new(0, BindingTiming::DEFAULT);
+    let mut client = Binding::<3>::new(0, &BindingTiming::DEFAULT);
     let mut script = Script::new(bytes);
     while let Some(step) = script.next() {
         let now = script.now;

@@ -9,7 +9,7 @@ use libfuzzer_sys::fuzz_target;
 fuzz_target!(|bytes: &[u8]| {
     let Some((first, bytes)) = bytes.split_first() else { return };
     let mut script = Script::new(bytes);
-    let timing = ConfigurationTiming::DEFAULT;
+    let timing = &ConfigurationTiming::DEFAULT;
     let mut client = match tx_node(*first) {
         Some(id) if *first % 2 == 0 => Configuration::fixed(script.now, uid(*first), id, 0, timing),
         _ => Configuration::new(script.now, uid(*first), 0, timing),

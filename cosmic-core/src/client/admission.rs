@@ -80,7 +80,7 @@ struct Entry {
 pub struct AdmissionClient<const N: usize> {
     entries: [Option<Entry>; N],
     tx_node: Option<TxNode>,
-    timing: AdmissionTiming,
+    timing: &'static AdmissionTiming,
     jitter: Jitter,
     first_number: AskNumber,
     /// Which entry's question is out, and until when its answer is awaited.
@@ -97,7 +97,7 @@ pub struct AdmissionClient<const N: usize> {
 impl<const N: usize> AdmissionClient<N> {
     /// A client that asks for nothing. It is silent until it has a TxNode. `noise` as in
     /// [`Configuration::new`](super::Configuration::new).
-    pub const fn new(noise: u64, timing: AdmissionTiming) -> Self {
+    pub const fn new(noise: u64, timing: &'static AdmissionTiming) -> Self {
         Self {
             entries: [None; N],
             tx_node: None,

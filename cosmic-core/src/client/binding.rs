@@ -134,7 +134,7 @@ struct Asked {
 pub struct Binding<const N: usize> {
     entries: [Option<Entry>; N],
     tx_node: Option<TxNode>,
-    timing: BindingTiming,
+    timing: &'static BindingTiming,
     jitter: Jitter,
     halves: Halves,
     asked: Option<Asked>,
@@ -154,7 +154,7 @@ pub struct Binding<const N: usize> {
 impl<const N: usize> Binding<N> {
     /// A client that knows no subject yet. It is silent until it has a TxNode. `noise` as in
     /// [`Configuration::new`](super::Configuration::new).
-    pub const fn new(noise: u64, timing: BindingTiming) -> Self {
+    pub const fn new(noise: u64, timing: &'static BindingTiming) -> Self {
         const { assert!(N > 0, "room for at least one subject") };
         Self {
             entries: [None; N],

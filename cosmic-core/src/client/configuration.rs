@@ -57,7 +57,7 @@ pub struct Configuration {
     uid: NodeUid,
     fixed: Option<TxNode>,
     on_duplicate: OnDuplicate,
-    timing: ConfigurationTiming,
+    timing: &'static ConfigurationTiming,
     jitter: Jitter,
     state: State,
     /// Until then nothing is to be done in this state.
@@ -87,7 +87,7 @@ impl Configuration {
     /// `noise` is anything that differs between nodes and starts, such as a unique id of the processor or
     /// the low bits of a timer; zero is allowed. With it two nodes that have one UID by mistake do not
     /// act in lockstep.
-    pub fn new(now: Instant, uid: NodeUid, noise: u64, timing: ConfigurationTiming) -> Self {
+    pub fn new(now: Instant, uid: NodeUid, noise: u64, timing: &'static ConfigurationTiming) -> Self {
         let mut jitter = Jitter::new(uid.get() ^ noise.rotate_left(32));
         let until = now + jitter.below(timing.reply);
         Self {
@@ -119,7 +119,7 @@ impl Configuration {
         uid: NodeUid,
         tx_node: TxNode,
         noise: u64,
-        timing: ConfigurationTiming,
+        timing: &'static ConfigurationTiming,
     ) -> Self {
         let mut new = Self { fixed: Some(tx_node), ..Self::new(now, uid, noise, timing) };
         new.claim(now, tx_node);

@@ -63,7 +63,8 @@ pub trait Capacity: sealed::Sealed + 'static {
 }
 
 /// The [`Capacity`] with these numbers; [`capacity!`](crate::capacity) names them. What each is of stands at
-/// [`EventHalf`].
+/// [`EventHalf`]. The last three follow from the others: what waits for a half whose task is not this one's, in a runtime
+/// that has queues for it. They are [`frames_waiting`], [`outcomes_waiting`] and [`notices_waiting`].
 #[derive(Debug)]
 pub struct Sizes<
     const SLOTS: usize,
@@ -72,7 +73,34 @@ pub struct Sizes<
     const EVENTS: usize,
     const SOFT: usize,
     const NRT: usize,
+    const FRAMES: usize,
+    const OUTCOMES: usize,
+    const NOTICES: usize,
 >;
+
+/// Received frames that wait to be taken in, of a node with so many events that wait for the application: as many, and no
+/// more than come in three milliseconds. A power of two.
+pub const fn frames_waiting(events: usize) -> usize {
+    match events.checked_next_power_of_two() {
+        Some(places) if places < 32 => places,
+        _ => 32,
+    }
+}
+
+/// Outcomes that wait to be taken in. The soft and the non real-time mailbox are idle until theirs was, so there is one of
+/// each; of hard real-time frames there are more if the event half is late. A power of two.
+pub const fn outcomes_waiting(slots: usize) -> usize {
+    if slots == 0 { 2 } else { 8 }
+}
+
+/// Notices of the dispatcher that wait to be taken in: a slot may have four before the event half is there. A power of
+/// two, or none where there are no slots.
+pub const fn notices_waiting(slots: usize) -> usize {
+    match slots.saturating_mul(4).checked_next_power_of_two() {
+        Some(places) if slots > 0 => places,
+        _ => 0,
+    }
+}
 
 impl<
     const SLOTS: usize,
@@ -81,7 +109,10 @@ impl<
     const EVENTS: usize,
     const SOFT: usize,
     const NRT: usize,
-> Capacity for Sizes<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT>
+    const FRAMES: usize,
+    const OUTCOMES: usize,
+    const NOTICES: usize,
+> Capacity for Sizes<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, FRAMES, OUTCOMES, NOTICES>
 {
     type Buffers = HrtBuffers<SLOTS>;
     type Dispatcher = Dispatcher<SLOTS>;
@@ -142,7 +173,10 @@ mod sealed {
         const EVENTS: usize,
         const SOFT: usize,
         const NRT: usize,
-    > Sealed for super::Sizes<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT>
+        const FRAMES: usize,
+        const OUTCOMES: usize,
+        const NOTICES: usize,
+    > Sealed for super::Sizes<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, FRAMES, OUTCOMES, NOTICES>
     {
     }
 }
@@ -183,6 +217,9 @@ macro_rules! capacity {
             { $events },
             { $soft },
             { $non_real_time },
+            { $crate::event_half::frames_waiting($events) },
+            { $crate::event_half::outcomes_waiting($slots) },
+            { $crate::event_half::notices_waiting($slots) },
         >;
     };
 }

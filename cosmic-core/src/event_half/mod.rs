@@ -27,7 +27,7 @@ mod input;
 mod interest;
 
 pub use crate::event_layer::Delivered;
-pub use capacity::{Capacity, Half, Sizes};
+pub use capacity::{Capacity, Half, Sizes, frames_waiting, notices_waiting, outcomes_waiting};
 pub use input::{Input, outcome, receive};
 pub use interest::Interest;
 
@@ -92,9 +92,6 @@ const SUBSCRIBES: Role = Role { publishes: false, subscribes: true };
 
 const SERVICES: Tag = Tag::SERVICES;
 
-/// Exceptions that wait for the application; further ones are counted only.
-const EXCEPTIONS: usize = 16;
-
 /// The event-triggered half of a node.
 ///
 /// | capacity | of |
@@ -104,6 +101,8 @@ const EXCEPTIONS: usize = 16;
 /// | `SUBSCRIPTIONS` | subscriptions |
 /// | `EVENTS` | received events that wait, in all queues together |
 /// | `SOFT`, `NRT` | events that wait to be sent; `SOFT` may be zero |
+///
+/// Exceptions wait for the application like events that have no deadline, `NRT` at most: further ones are counted only.
 ///
 /// A node without slots, or that sends nothing in soft real-time, has no code for it. It is refused such channels, but may
 /// subscribe to soft ones.
@@ -131,7 +130,7 @@ pub struct EventHalf<
     etch: Etch<SOFT, NRT>,
     /// What the counters of each HRT message buffer were when they were last looked at.
     seen: [Counters; SLOTS],
-    exceptions: Exceptions<EXCEPTIONS>,
+    exceptions: Exceptions<NRT>,
     exception_waker: Option<Waker>,
     services: S,
     view: NodeView,

@@ -29,9 +29,9 @@ pub struct NodeConfig {
     /// Of the clock synchronisation.
     pub clock: SyncConfig,
     /// Of the configuration client.
-    pub configuration: ConfigurationTiming,
+    pub configuration: &'static ConfigurationTiming,
     /// Of the binding client.
-    pub binding: BindingTiming,
+    pub binding: &'static BindingTiming,
     /// How long the interest of this node holds if it is not refreshed.
     pub lease: Lease,
     /// The span between two status frames; a node is taken for dead after three and a half.
@@ -42,7 +42,7 @@ pub struct NodeConfig {
     /// What becomes of soft real-time channels that the plan does not know; `None`: any may be published, unproven.
     pub admission: Option<&'static AdmissionPlan>,
     /// Of the admission client.
-    pub admission_timing: AdmissionTiming,
+    pub admission_timing: &'static AdmissionTiming,
 }
 
 impl NodeConfig {
@@ -54,13 +54,13 @@ impl NodeConfig {
             on_duplicate: None,
             noise: 0,
             clock: SyncConfig::DEFAULT,
-            configuration: ConfigurationTiming::DEFAULT,
-            binding: BindingTiming::DEFAULT,
+            configuration: &ConfigurationTiming::DEFAULT,
+            binding: &BindingTiming::DEFAULT,
             lease: DEFAULT_LEASE,
             status_period: Duration::from_millis(500),
             seal: None,
             admission: None,
-            admission_timing: AdmissionTiming::DEFAULT,
+            admission_timing: &AdmissionTiming::DEFAULT,
         }
     }
 

@@ -26,16 +26,16 @@ pub struct NamingService<const CHANNELS: usize> {
 impl<const CHANNELS: usize> NamingService<CHANNELS> {
     /// A node that asks the broker for its TxNode from now on. `noise` as in [`Configuration::new`].
     pub fn new(uid: NodeUid, noise: u64, now: Instant) -> Self {
-        Self::of(Configuration::new(now, uid, noise, ConfigurationTiming::DEFAULT), noise)
+        Self::of(Configuration::new(now, uid, noise, &ConfigurationTiming::DEFAULT), noise)
     }
 
     /// A node with this TxNode, which it claims.
     pub fn fixed(uid: NodeUid, tx_node: TxNode, noise: u64, now: Instant) -> Self {
-        Self::of(Configuration::fixed(now, uid, tx_node, noise, ConfigurationTiming::DEFAULT), noise)
+        Self::of(Configuration::fixed(now, uid, tx_node, noise, &ConfigurationTiming::DEFAULT), noise)
     }
 
     const fn of(configuration: Configuration, noise: u64) -> Self {
-        let binding = Binding::new(configuration.uid().get() ^ noise, BindingTiming::DEFAULT);
+        let binding = Binding::new(configuration.uid().get() ^ noise, &BindingTiming::DEFAULT);
         Self { configuration, binding, besides: None }
     }
 

@@ -39,7 +39,7 @@ const UID: u64 = 0x1234_0000_0000_0000;
 
 /// A client whose first request is out.
 fn asking() -> (Configuration, Instant) {
-    let mut client = Configuration::new(at(0), uid(UID), 0, TIMING);
+    let mut client = Configuration::new(at(0), uid(UID), 0, &TIMING);
     let now = client.next_wakeup();
     assert!(now < at(0) + TIMING.reply);
     assert_eq!(outputs(&mut client, now), [Output::Send(request(UID, 15))]);
@@ -236,7 +236,7 @@ fn a_flood_is_answered_fifty_times_a_second_at_most() {
 
 /// A client with the fixed id 9, which works.
 fn fixed(on_duplicate: OnDuplicate) -> (Configuration, Instant) {
-    let client = Configuration::fixed(at(0), uid(UID), tx_node(9), 0, TIMING);
+    let client = Configuration::fixed(at(0), uid(UID), tx_node(9), 0, &TIMING);
     let mut client = client.on_duplicate(on_duplicate);
     let mut now = at(0);
     while client.tx_node().is_none() {
@@ -272,7 +272,7 @@ fn a_node_that_holds_its_id_is_not_silenced_by_any_identities() {
 fn a_node_that_holds_its_id_lets_one_that_works_with_it_already() {
     let low = from_candump("1F424007#0000000000000001");
     for (stays, works) in [(OnDuplicate::Hold, false), (OnDuplicate::Stay, true)] {
-        let client = Configuration::fixed(at(0), uid(UID), tx_node(9), 0, TIMING);
+        let client = Configuration::fixed(at(0), uid(UID), tx_node(9), 0, &TIMING);
         let mut client = client.on_duplicate(stays);
         // The other one answers each claim.
         let mut told = 0;
@@ -322,7 +322,7 @@ fn get(of: u64) -> Frame {
 const ETAG: Etag = Etag::BOUND_LAST;
 
 fn binding() -> Binding<2> {
-    let mut client = Binding::new(0, BindingTiming::DEFAULT);
+    let mut client = Binding::new(0, &BindingTiming::DEFAULT);
     client.bind(subject(1)).unwrap();
     client.bind(subject(2)).unwrap();
     assert_eq!(client.bind(subject(3)), Err(BindingFull));
@@ -398,7 +398,7 @@ fn a_refused_subject_is_asked_for_again_later() {
 
 #[test]
 fn a_subject_is_bound_anew() {
-    let mut client = Binding::<1>::new(0, BindingTiming::DEFAULT);
+    let mut client = Binding::<1>::new(0, &BindingTiming::DEFAULT);
     client.assume(subject(1), ETAG).unwrap();
     let new = Etag::new(0x3000).unwrap();
     for half in supply(TxNode::BROKER, 77, 1, Answer::Bound(new)) {
@@ -415,7 +415,7 @@ fn a_subject_is_bound_anew() {
 
 #[test]
 fn a_flood_of_probes_is_answered_five_times_a_second() {
-    let mut client = Binding::<3>::new(0, BindingTiming::DEFAULT);
+    let mut client = Binding::<3>::new(0, &BindingTiming::DEFAULT);
     for of in 1..=3 {
         client.assume(subject(of), Etag::new(0x3000 + of as u16).unwrap()).unwrap();
     }
@@ -439,7 +439,7 @@ fn a_flood_of_probes_is_answered_five_times_a_second() {
 #[test]
 fn an_etag_that_is_fixed_stays() {
     for fixed in [ETAG, Etag::HARD_FIRST] {
-        let mut client = Binding::<2>::new(0, BindingTiming::DEFAULT);
+        let mut client = Binding::<2>::new(0, &BindingTiming::DEFAULT);
         client.set_tx_node(Some(tx_node(4)));
         client.fix(subject(1), fixed).unwrap();
         let contradicted = [Output::Event(BindingEvent::Contradicted { subject: subject(1), etag: fixed })];

@@ -72,7 +72,7 @@ pub(crate) fn from_candump(text: &str) -> Frame {
 impl Node {
     fn of(configuration: Configuration, noise: u64) -> Self {
         Self {
-            binding: Binding::new(configuration.uid().get() ^ noise, BindingTiming::DEFAULT),
+            binding: Binding::new(configuration.uid().get() ^ noise, &BindingTiming::DEFAULT),
             configuration,
             broker: None,
             wanted: Vec::new(),
@@ -84,12 +84,12 @@ impl Node {
 
     /// A node that asks for its id.
     pub(crate) fn asking(now: Instant, of: u64, noise: u64) -> Self {
-        Self::of(Configuration::new(now, uid(of), noise, ConfigurationTiming::DEFAULT), noise)
+        Self::of(Configuration::new(now, uid(of), noise, &ConfigurationTiming::DEFAULT), noise)
     }
 
     /// A node with a fixed id.
     pub(crate) fn fixed(now: Instant, of: u64, id: u8, noise: u64) -> Self {
-        let timing = ConfigurationTiming::DEFAULT;
+        let timing = &ConfigurationTiming::DEFAULT;
         Self::of(Configuration::fixed(now, uid(of), tx_node(id), noise, timing), noise)
     }
 

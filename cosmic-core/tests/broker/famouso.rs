@@ -212,7 +212,7 @@ fn a_claim_does_not_confuse_an_old_client() {
         assert_eq!(old.etag, Some(0x3FFE), "{first_half_of_claim}");
     }
     // These are the claims that a node of ours sends.
-    let mut node = Binding::<1>::new(0, BindingTiming::DEFAULT);
+    let mut node = Binding::<1>::new(0, &BindingTiming::DEFAULT);
     node.assume(subject(0x1122_3344_5566_7788), Etag::new(0x3FF0).unwrap()).unwrap();
     node.set_tx_node(Some(tx_node(0x2A)));
     node.on_frame(&from_candump("1F404008#"), now);

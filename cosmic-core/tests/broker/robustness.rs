@@ -106,12 +106,12 @@ proptest! {
     #[test]
     fn any_frames(steps in proptest::collection::vec((frame(), 0..2_000_000_000u64), 0..200), fixed: bool) {
         let mut now = Instant::EPOCH;
-        let timing = ConfigurationTiming::DEFAULT;
+        let timing = &ConfigurationTiming::DEFAULT;
         let mut configuration = match fixed {
             true => Configuration::fixed(now, uid(1), tx_node(1), 0, timing),
             false => Configuration::new(now, uid(1), 0, timing),
         };
-        let mut binding = Binding::<2>::new(0, BindingTiming::DEFAULT);
+        let mut binding = Binding::<2>::new(0, &BindingTiming::DEFAULT);
         binding.bind(subject(1)).unwrap();
         binding.set_tx_node(Some(tx_node(1)));
         let mut broker = Broker::<3, 3>::new(uid(1), BrokerTiming::DEFAULT, Nodes::new(), Subjects::new());

@@ -135,31 +135,25 @@ impl Observer for Notes {
 }
 
 impl Observes<u16> for Notes {
-    fn published(&mut self, _: &Channel<u16>, content: &u16, _: Instant, result: Result<(), PublishError>) {
+    fn published(&mut self, _: Subject, content: &u16, _: Instant, result: Result<(), PublishError>) {
         self.0.push(match result {
             Ok(()) => format!("published {content}"),
             Err(error) => format!("refused {content}: {error:?}"),
         });
     }
 
-    fn delivered(&mut self, _: &Channel<u16>, event: &Delivered<u16>, _: Instant) {
+    fn delivered(&mut self, _: Subject, event: &Delivered<u16>, _: Instant) {
         self.0.push(format!("delivered {}", event.content));
     }
 }
 
 /// Of the frames of messages it writes the header.
 impl Observes<Payload> for Notes {
-    fn published(
-        &mut self,
-        _: &Channel<Payload>,
-        piece: &Payload,
-        _: Instant,
-        result: Result<(), PublishError>,
-    ) {
+    fn published(&mut self, _: Subject, piece: &Payload, _: Instant, result: Result<(), PublishError>) {
         self.0.push(format!("published {:02X} {}", piece.as_slice()[0], result.is_ok()));
     }
 
-    fn delivered(&mut self, _: &Channel<Payload>, piece: &Delivered<Payload>, _: Instant) {
+    fn delivered(&mut self, _: Subject, piece: &Delivered<Payload>, _: Instant) {
         self.0.push(format!("delivered {:02X}", piece.content.as_slice()[0]));
     }
 }

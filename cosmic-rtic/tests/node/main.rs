@@ -115,13 +115,13 @@ fn what_a_fifo_or_a_queue_loses_becomes_exceptions() {
     run_events(&mut events, &node);
     assert_eq!(exceptions(&node, ExceptionKind::ReceiveOverrun), 2);
     let _heat = Subscriber::subscribe(&HEAT, QUEUE, &mut Resource(&node)).unwrap();
-    // The queue of the urgent FIFO has eight places.
+    // The queue of the urgent FIFO has four places.
     for _ in 0..3 {
         RECEIVED.with_borrow_mut(|received| received.extend([frame(1), frame(2), frame(3)]));
         urgent.run();
     }
     run_events(&mut events, &node);
-    assert_eq!(exceptions(&node, ExceptionKind::InputLost), 1);
+    assert_eq!(exceptions(&node, ExceptionKind::InputLost), 5);
     assert_eq!(exceptions(&node, ExceptionKind::ReceiveOverrun), 2);
 }
 

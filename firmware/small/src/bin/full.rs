@@ -10,7 +10,7 @@ use small::*;
 mod last_words;
 
 cosmic_core::capacity! {
-    Room { slots: 2, channels: 8, subscriptions: 4, events: 16, soft: 8, non_real_time: 8 }
+    Room { slots: 2, channels: 8, subscriptions: 4, events: 8, soft: 4, non_real_time: 4 }
 }
 
 /// What the node is made of.

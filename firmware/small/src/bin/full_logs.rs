@@ -8,7 +8,7 @@ use small::plan::{channels::torque, nodes::full_logs::NODE};
 use small::*;
 
 cosmic_core::capacity! {
-    Room { slots: 2, channels: 8, subscriptions: 4, events: 16, soft: 8, non_real_time: 8 }
+    Room { slots: 2, channels: 8, subscriptions: 4, events: 8, soft: 4, non_real_time: 4 }
 }
 
 /// What the node is made of.

@@ -9,7 +9,7 @@ use small::{plan::nodes::ups::NODE, *};
 mod last_words;
 
 cosmic_core::capacity! {
-    Room { slots: 0, channels: 2, subscriptions: 2, events: 8, soft: 0, non_real_time: 8 }
+    Room { slots: 0, channels: 2, subscriptions: 2, events: 4, soft: 0, non_real_time: 4 }
 }
 
 /// What the node is made of.

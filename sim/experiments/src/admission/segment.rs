@@ -306,7 +306,7 @@ fn node(planned: &Planned, at: usize, asks: bool, shared: &Rc<RefCell<Shared>>) 
                 noise: at as u64,
                 clock,
                 admission: asks.then_some(admission),
-                admission_timing: TIMING,
+                admission_timing: &TIMING,
                 ..services::NodeConfig::new(uid)
             };
             let broker = (at < BROKERS).then(|| {
