@@ -158,14 +158,21 @@ extern "C" fn TIM2() {
     if flags & CC3IF != 0 {
         clear(CC3IF);
         CALENDAR.ring();
-        // Channels that nobody uses match, too, and nobody clears their flags.
-        if flags & (UIF | CC1IF | CC2IF) == 0 && !is_pended {
+        if !is_of_queue(flags) && !is_pended {
             return;
         }
     }
     // SAFETY: this is the interrupt of the timer.
     unsafe { QUEUE.on_monotonic_interrupt() };
 }
+
+/// Returns whether any of these flags is one that the timer's queue clears. Channels that nobody uses match, too, for the
+/// first time when the counter begins anew, and nobody clears their flags.
+const fn is_of_queue(flags: u32) -> bool {
+    flags & (UIF | CC1IF | CC2IF) != 0
+}
+
+const _: () = assert!(!is_of_queue(CC3IF | CC4IF) && is_of_queue(CC2IF | CC3IF) && is_of_queue(UIF));
 
 /// The compare channel of the calendar.
 struct Channel3;
@@ -209,3 +216,4 @@ const UIF: u32 = 1 << 0;
 const CC1IF: u32 = 1 << 1;
 const CC2IF: u32 = 1 << 2;
 const CC3IF: u32 = 1 << 3;
+const CC4IF: u32 = 1 << 4;

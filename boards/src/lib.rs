@@ -30,6 +30,8 @@ pub mod bxcan_tx;
 #[cfg(target_arch = "arm")]
 pub mod clock;
 #[cfg(target_arch = "arm")]
+mod crystal;
+#[cfg(target_arch = "arm")]
 mod pll;
 mod registers;
 pub mod reset;

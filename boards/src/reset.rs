@@ -29,7 +29,10 @@ pub fn take_cause() -> ResetCause {
     let register = unsafe { (*stm32f4xx_hal::pac::RCC::ptr()).csr() };
     let cause = cause(register.read().bits());
     register.modify(|_, w| w.rmvf().set_bit());
-    cause
+    match cause {
+        ResetCause::Software if crate::crystal::take_failure() => ResetCause::Crystal,
+        cause => cause,
+    }
 }
 
 /// The exceptions that were kept over the reset, for one owner: the second call returns `None`. After `cause` has said

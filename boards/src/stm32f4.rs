@@ -24,6 +24,7 @@ use crate::bxcan_rx::RxFrames;
 use crate::bxcan_status::{BusStatus, StatusChanges};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::clock;
+use crate::crystal;
 use crate::pll;
 use crate::wiring::{Can, PinsOfBoth, Stm32H405, Wiring};
 
@@ -137,7 +138,8 @@ impl<W: Wiring> Stm32F4<W> {
     ///
     /// Waits until the crystal runs and the bus has been recessive for 11 bits; call it before interrupts
     /// are enabled, as RTIC's `init` does. It waits for neither for longer than a tenth of a second: without a crystal
-    /// it returns an error, and on a bus that is held dominant the node starts, and joins when the bus is free.
+    /// it returns an error, and on a bus that is held dominant the node starts, and joins when the bus is free. But after a
+    /// crystal has failed while the node ran it waits until that oscillates again.
     ///
     /// `timer` is the priority of the timer's interrupt, as RTIC counts. A task of a higher one must not wait for
     /// the clock: it would be woken by a lower one.
@@ -157,11 +159,14 @@ impl<W: Wiring> Stm32F4<W> {
         let clocks = source.pclk1(Hertz::from_raw(APB1)).pclk2(Hertz::from_raw(APB2));
         let Resources { rcc, port, can, timer: tim2 } = resources;
         sleep_between_tasks();
-        start_oscillator(&rcc, is_clock)?;
+        if !crystal::start(&rcc, is_clock) {
+            return Err(BoardError::Crystal);
+        }
         let mut rcc = rcc.freeze(clocks);
         if !pll::switch_to(&rcc, const { pll::factors(W::OSCILLATOR.hertz) }) {
             return Err(BoardError::Crystal);
         }
+        crystal::watch(&rcc);
         pac::TIM2::enable(&mut rcc);
         pac::TIM2::reset(&mut rcc);
         clock::start(tim2, TIMERS, timer);
@@ -219,17 +224,6 @@ pub fn stay_awake() {
 
 /// What a board takes of the chip.
 pub type OfBoard<W> = Resources<<<W as Wiring>::Can as Can>::Peripherals>;
-
-/// Starts the crystal, or lets in the clock from outside (RM0090, 7.2.1). Who sets the clocks waits for it without end,
-/// so it runs before.
-fn start_oscillator(rcc: &pac::RCC, is_clock: bool) -> Result<(), BoardError> {
-    if is_clock {
-        rcc.cr().modify(|_, w| w.hsebyp().bypassed());
-    }
-    rcc.cr().modify(|_, w| w.hseon().on());
-    let runs = (0..CRYSTAL_PATIENCE).any(|_| rcc.cr().read().hserdy().is_ready());
-    if runs { Ok(()) } else { Err(BoardError::Crystal) }
-}
 
 impl<W: Wiring> Board for Stm32F4<W> {
     type Hard = HardMailbox;
@@ -305,9 +299,6 @@ impl<const N: u8> MeasuringPoint<N> {
     }
 }
 
-/// So often it is asked whether the crystal runs: each takes 8 cycles at most, 100 ms at the 16 MHz after a reset. It
-/// takes 2 ms (STM32F405 datasheet, 5.3.8).
-const CRYSTAL_PATIENCE: u32 = 200_000;
 /// The timers behind APB1 run at twice its frequency (RM0090, 7.2).
 const TIMERS: u32 = 2 * APB1;
 const APB2: u32 = 84_000_000;

@@ -38,11 +38,13 @@ pub enum ResetCause {
     Watchdog = 5,
     /// It was reset when it went to a mode of low power.
     LowPower = 6,
+    /// Its crystal, or the clock from outside, failed while it ran.
+    Crystal = 7,
 }
 
 impl ResetCause {
     /// All of them, by their numbers.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Unknown,
         Self::PowerOn,
         Self::BrownOut,
@@ -50,6 +52,7 @@ impl ResetCause {
         Self::Software,
         Self::Watchdog,
         Self::LowPower,
+        Self::Crystal,
     ];
 
     /// What it is called.
@@ -62,6 +65,7 @@ impl ResetCause {
             Self::Software => "software",
             Self::Watchdog => "watchdog",
             Self::LowPower => "low power",
+            Self::Crystal => "crystal",
         }
     }
 

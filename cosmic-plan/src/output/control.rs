@@ -137,6 +137,7 @@ pub const CONTROL: &[Control] = &[
                     (4, "software"),
                     (5, "watchdog"),
                     (6, "low power"),
+                    (7, "crystal"),
                 ]),
             ),
             field(

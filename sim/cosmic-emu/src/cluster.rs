@@ -246,6 +246,13 @@ impl Cluster {
         self.nodes[node.0].0.reset(at, ResetCause::Pin);
     }
 
+    /// The crystal of a node fails at the present instant, or begins to oscillate again. If the firmware has switched the
+    /// clock security system on, it is told of a failure (RM0090, 7.2.7).
+    pub fn set_crystal(&mut self, node: NodeId, runs: bool) {
+        let at = self.bus.now();
+        self.nodes[node.0].0.set_crystal(at, runs);
+    }
+
     /// Lets time pass until `to`. Nodes stop within a few cycles of it.
     pub fn run_until(&mut self, to: VirtualInstant) {
         loop {

@@ -51,6 +51,7 @@ fn wiring(config: &NodeConfig) -> Wiring {
     Wiring {
         error: config.clock_error,
         crystal_hertz: config.crystal.to_Hz(),
+        crystal_runs: config.crystal_runs,
         low_speed_hertz: config.low_speed.to_Hz(),
         can: config.can,
     }

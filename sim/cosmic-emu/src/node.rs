@@ -111,6 +111,19 @@ impl Node {
         self.state = State::Off;
     }
 
+    /// Its crystal begins to oscillate, or fails.
+    pub(crate) fn set_crystal(&mut self, at: VirtualInstant, runs: bool) {
+        self.config.crystal_runs = runs;
+        if !self.is_stopped() {
+            let mut system = self.system.borrow_mut();
+            // If it sleeps, nobody has looked at it since.
+            if self.state == State::Asleep {
+                self.pace.sleep_until(system.timebase.cycle_at(at));
+            }
+            system.set_crystal(runs);
+        }
+    }
+
     pub(crate) fn image(&self) -> &Image {
         &self.image
     }

@@ -35,6 +35,8 @@ pub struct NodeConfig {
     pub start_at: VirtualInstant,
     /// The crystal of its board.
     pub crystal: HertzU32,
+    /// It oscillates.
+    pub crystal_runs: bool,
     /// The internal low-speed oscillator, which the independent watchdog counts: 32 kHz, but 17 to 47 kHz over parts
     /// and temperatures (STM32F405 datasheet, 5.3.9).
     pub low_speed: HertzU32,
@@ -59,6 +61,7 @@ impl NodeConfig {
             clock_error: ClockError::ZERO,
             start_at: time::EPOCH,
             crystal: HertzU32::MHz(8),
+            crystal_runs: true,
             low_speed: HertzU32::kHz(32),
             can: CanController::Can1,
             unique_id,

@@ -25,7 +25,7 @@ use can::{CanController, CanPair};
 use cosmic_bus::VirtualInstant;
 use gpio::Port;
 pub(crate) use nvic::{Masks, Nvic, number};
-use rcc::Rcc;
+use rcc::{Clocks, Rcc};
 use storage::Storage;
 use system_control::{Effect, SystemControl};
 use timer::Timer;
@@ -46,6 +46,7 @@ pub(crate) struct Wiring {
     /// Of the crystal, and of what is derived from it.
     pub(crate) error: ClockError,
     pub(crate) crystal_hertz: u32,
+    pub(crate) crystal_runs: bool,
     pub(crate) low_speed_hertz: u32,
     /// Where the transceiver is.
     pub(crate) can: CanController,
@@ -97,7 +98,7 @@ pub(crate) struct System {
 impl System {
     /// After power-on at `start`.
     pub(crate) fn new(pace: &Rc<Pace>, start: VirtualInstant, wiring: Wiring) -> Self {
-        Self::with_clocks(pace, start, wiring, Rcc::new(wiring.crystal_hertz))
+        Self::with_clocks(pace, start, wiring, Rcc::new(wiring.crystal_hertz, wiring.crystal_runs))
     }
 
     /// After a reset at `start` that leaves the power on.
@@ -284,9 +285,25 @@ impl System {
     }
 
     fn write_rcc(&mut self, offset: u32, value: u32) -> Result<(), ()> {
-        let (now, before) = (self.pace.cycle(), self.rcc.clocks());
+        let before = self.rcc.clocks();
         self.rcc.write(offset, value).ok_or(())?;
-        let clocks = self.rcc.clocks();
+        self.follow_clocks(before);
+        Ok(())
+    }
+
+    /// The crystal begins to oscillate, or fails.
+    pub(crate) fn set_crystal(&mut self, runs: bool) {
+        self.advance();
+        let before = self.rcc.clocks();
+        if self.rcc.set_crystal(runs) {
+            self.nvic.pend(number::NMI);
+        }
+        self.follow_clocks(before);
+    }
+
+    /// After a change of RCC: what depends on its clocks and resets.
+    fn follow_clocks(&mut self, before: Clocks) {
+        let (now, clocks) = (self.pace.cycle(), self.rcc.clocks());
         if clocks.hclk_hertz != before.hclk_hertz {
             self.timebase.change_frequency(now, clocks.hclk_hertz);
             self.clock_changed = true;
@@ -304,7 +321,6 @@ impl System {
                 self.can.reset(which, now);
             }
         }
-        Ok(())
     }
 
     fn happen(&mut self, kind: HappeningKind) {
@@ -421,8 +437,13 @@ mod tests {
     fn system() -> System {
         let pace = Rc::new(Pace::default());
         let can = CanController::Can1;
-        let wiring =
-            Wiring { error: ClockError::ZERO, crystal_hertz: 8_000_000, low_speed_hertz: 32_000, can };
+        let wiring = Wiring {
+            error: ClockError::ZERO,
+            crystal_hertz: 8_000_000,
+            crystal_runs: true,
+            low_speed_hertz: 32_000,
+            can,
+        };
         System::new(&pace, VirtualInstant::from_ticks(0), wiring)
     }
 

@@ -1,6 +1,9 @@
 //! Reset and clock control (RM0090, chapter 7): oscillators are ready at once, the PLL is computed, the
 //! prescalers give the clocks of CPU and timers, an access to a peripheral without clock is found out, and CSR
 //! says by which resets the part came here.
+//!
+//! The crystal may fail. If the clock security system watches it, the core goes on by the internal oscillator, with an NMI
+//! (7.2.7). If not, it is no longer ready, and that is all: what a PLL without its input does is not modelled.
 
 use super::{CAN1, CAN2};
 use crate::observation::ResetCause;
@@ -24,6 +27,22 @@ mod register {
     pub(super) const BDCR: usize = 0x70 / 4;
     pub(super) const CSR: usize = 0x74 / 4;
 }
+
+/// Bits of CR.
+mod cr {
+    pub(super) const HSI: u32 = 0b11;
+    pub(super) const HSEON: u32 = 1 << 16;
+    pub(super) const HSERDY: u32 = 1 << 17;
+    pub(super) const CSSON: u32 = 1 << 19;
+    /// On, and ready.
+    pub(super) const PLL: u32 = 0b11 << 24;
+}
+
+/// Bits of PLLCFGR, CFGR and CIR.
+const PLLSRC_HSE: u32 = 1 << 22;
+const SW_SWS: u32 = 0xF;
+const CSSF: u32 = 1 << 7;
+const CSSC: u32 = 1 << 23;
 
 /// Bits of CSR.
 mod csr {
@@ -52,24 +71,26 @@ pub(crate) struct Clocks {
 pub(crate) struct Rcc {
     words: [u32; WORDS],
     hse_hertz: u32,
+    /// The crystal oscillates when it is asked to.
+    crystal_runs: bool,
 }
 
 impl Rcc {
-    /// After power-on, with a crystal of this frequency on the board.
-    pub(crate) const fn new(hse_hertz: u32) -> Self {
+    /// After power-on, with a crystal of this frequency on the board, and whether it oscillates.
+    pub(crate) const fn new(hse_hertz: u32, crystal_runs: bool) -> Self {
         let mut words = [0; WORDS];
         words[register::CR] = 0x0000_0083;
         words[register::PLLCFGR] = 0x2400_3010;
         words[register::AHB1ENR] = 0x0010_0000;
         // Power-on and pin reset flags.
         words[register::CSR] = csr::AFTER_POWER_ON;
-        Self { words, hse_hertz }
+        Self { words, hse_hertz, crystal_runs }
     }
 
     /// A reset that leaves the power on: the flags of the resets before stay until the software removes them. Each
     /// pulls the reset pin low, too (RM0090, 7.1.1).
     pub(crate) fn reset(&self, cause: ResetCause) -> Self {
-        let mut new = Self::new(self.hse_hertz);
+        let mut new = Self::new(self.hse_hertz, self.crystal_runs);
         let flag = match cause {
             ResetCause::Pin => csr::PINRSTF,
             ResetCause::Software => csr::SFTRSTF,
@@ -89,10 +110,13 @@ impl Rcc {
         let slot = self.words.get_mut(index)?;
         *slot = match index {
             // Each ON bit is followed by its RDY bit: HSI, HSE, PLL, PLLI2S.
-            register::CR => value & !0x0A02_0002 | (value & 0x0501_0001) << 1,
+            register::CR => {
+                let ready = (value & 0x0501_0001) << 1;
+                value & !0x0A02_0002 | if self.crystal_runs { ready } else { ready & !cr::HSERDY }
+            }
             // SWS follows SW.
             register::CFGR => value & !0xC | (value & 0x3) << 2,
-            register::CIR => value & 0x3F00,
+            register::CIR => value & 0x3F00 | if value & CSSC == 0 { *slot & CSSF } else { 0 },
             register::BDCR => value & !0x2 | (value & 1) << 1,
             register::CSR => {
                 let flags = if value & csr::RMVF != 0 { 0 } else { *slot & csr::FLAGS };
@@ -101,6 +125,32 @@ impl Rcc {
             _ => value,
         };
         Some(())
+    }
+
+    /// The crystal begins to oscillate, or fails. Returns whether that is to be told by an NMI.
+    pub(crate) fn set_crystal(&mut self, runs: bool) -> bool {
+        self.crystal_runs = runs;
+        let [control, configuration] = [register::CR, register::CFGR].map(|at| self.words[at]);
+        if runs {
+            self.words[register::CR] |= (control & cr::HSEON) << 1;
+            return false;
+        }
+        self.words[register::CR] &= !cr::HSERDY;
+        let watched = cr::HSERDY | cr::CSSON;
+        if control & watched != watched {
+            return false;
+        }
+        self.words[register::CR] &= !cr::HSEON;
+        self.words[register::CIR] |= CSSF;
+        let by_pll = self.words[register::PLLCFGR] & PLLSRC_HSE != 0;
+        match configuration >> 2 & 3 {
+            1 => {}
+            2 if by_pll => self.words[register::CR] &= !cr::PLL,
+            _ => return true,
+        }
+        self.words[register::CR] |= cr::HSI;
+        self.words[register::CFGR] &= !SW_SWS;
+        true
     }
 
     /// The clocks as set now.
@@ -131,7 +181,7 @@ impl Rcc {
 
     fn pll_hertz(&self) -> u32 {
         let pll = self.words[register::PLLCFGR];
-        let source = if pll & 1 << 22 != 0 { self.hse_hertz } else { HSI_HERTZ };
+        let source = if pll & PLLSRC_HSE != 0 { self.hse_hertz } else { HSI_HERTZ };
         let (m, n, p) = (pll & 0x3F, pll >> 6 & 0x1FF, ((pll >> 16 & 3) + 1) * 2);
         if m == 0 {
             return 0;
@@ -180,7 +230,7 @@ mod tests {
 
     #[test]
     fn the_usual_clock_tree_of_an_f405() {
-        let mut rcc = Rcc::new(8_000_000);
+        let mut rcc = Rcc::new(8_000_000, true);
         let reset = Clocks { hclk_hertz: HSI_HERTZ, apb1_divider: 1, timer_divider: 1 };
         assert_eq!(rcc.clocks(), reset);
         rcc.write(0x00, 0x0101_0083).unwrap();
@@ -194,9 +244,43 @@ mod tests {
     }
 
     #[test]
+    fn a_crystal_that_fails() {
+        let running = || {
+            let mut rcc = Rcc::new(8_000_000, true);
+            for (register, value) in
+                [(0x00, 0x0101_0083), (0x04, 1 << 22 | 168 << 6 | 4), (0x08, 5 << 10 | 2)]
+            {
+                rcc.write(register, value).unwrap();
+            }
+            rcc
+        };
+        let mut unwatched = running();
+        assert!(!unwatched.set_crystal(false));
+        assert_eq!((unwatched.read(0x00), unwatched.read(0x0C)), (Some(0x0301_0083), Some(0)));
+
+        let mut rcc = running();
+        rcc.write(0x00, 0x0109_0083).unwrap();
+        assert!(rcc.set_crystal(false));
+        // By the internal oscillator; crystal and PLL are off, and CSSF stays until CSSC.
+        assert_eq!((rcc.read(0x00), rcc.read(0x08)), (Some(0x0008_0083), Some(5 << 10)));
+        assert_eq!(rcc.clocks().hclk_hertz, HSI_HERTZ);
+        rcc.write(0x0C, 0).unwrap();
+        assert_eq!(rcc.read(0x0C), Some(CSSF));
+        rcc.write(0x0C, CSSC).unwrap();
+        assert_eq!(rcc.read(0x0C), Some(0));
+
+        // A reset does not mend it; it is ready when it oscillates.
+        let mut rcc = rcc.reset(ResetCause::Software);
+        rcc.write(0x00, 0x0001_0083).unwrap();
+        assert_eq!(rcc.read(0x00), Some(0x0001_0083));
+        assert!(!rcc.set_crystal(true));
+        assert_eq!(rcc.read(0x00), Some(0x0003_0083));
+    }
+
+    #[test]
     fn the_flags_of_resets_add_up_until_they_are_removed() {
         let csr = |rcc: &Rcc| rcc.read(0x74).unwrap();
-        let mut rcc = Rcc::new(8_000_000);
+        let mut rcc = Rcc::new(8_000_000, true);
         assert_eq!(csr(&rcc), 0x0E00_0000);
         // They are read-only, but for RMVF.
         rcc.write(0x74, 0xF000_0001).unwrap();
@@ -213,7 +297,7 @@ mod tests {
 
     #[test]
     fn clock_gates() {
-        let mut rcc = Rcc::new(8_000_000);
+        let mut rcc = Rcc::new(8_000_000, true);
         assert!(!rcc.is_clocked(0x4000_6400));
         rcc.write(0x40, 1 << 25).unwrap();
         assert!(rcc.is_clocked(0x4000_6400) && !rcc.is_clocked(0x4000_6800));
