@@ -30,7 +30,7 @@ pub mod bxcan_tx;
 #[cfg(target_arch = "arm")]
 pub mod clock;
 #[cfg(target_arch = "arm")]
-mod crystal;
+mod failure;
 #[cfg(target_arch = "arm")]
 mod pll;
 mod registers;

@@ -25,13 +25,17 @@ pub const fn cause(flags: u32) -> ResetCause {
 /// Why the part has started. The first call says so, and removes the flags; a second finds none.
 #[cfg(target_arch = "arm")]
 pub fn take_cause() -> ResetCause {
+    use crate::failure::Failure;
+
     // SAFETY: nobody else writes the register, but to start the low-speed oscillator, whose bit stays.
     let register = unsafe { (*stm32f4xx_hal::pac::RCC::ptr()).csr() };
     let cause = cause(register.read().bits());
     register.modify(|_, w| w.rmvf().set_bit());
-    match cause {
-        ResetCause::Software if crate::crystal::take_failure() => ResetCause::Crystal,
-        cause => cause,
+    match (cause, crate::failure::take()) {
+        (ResetCause::Software, Some(Failure::Crystal)) => ResetCause::Crystal,
+        // While a low supply is waited for, a watchdog that runs is not fed.
+        (ResetCause::Software | ResetCause::Watchdog, Some(Failure::Supply)) => ResetCause::BrownOut,
+        (cause, _) => cause,
     }
 }
 

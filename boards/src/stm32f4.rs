@@ -24,7 +24,7 @@ use crate::bxcan_rx::RxFrames;
 use crate::bxcan_status::{BusStatus, StatusChanges};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::clock;
-use crate::crystal;
+use crate::failure;
 use crate::pll;
 use crate::wiring::{Can, PinsOfBoth, Stm32H405, Wiring};
 
@@ -139,7 +139,7 @@ impl<W: Wiring> Stm32F4<W> {
     /// Waits until the crystal runs and the bus has been recessive for 11 bits; call it before interrupts
     /// are enabled, as RTIC's `init` does. It waits for neither for longer than a tenth of a second: without a crystal
     /// it returns an error, and on a bus that is held dominant the node starts, and joins when the bus is free. But after a
-    /// crystal has failed while the node ran it waits until that oscillates again.
+    /// crystal has failed while the node ran it waits until that oscillates again, and it waits for a supply above 2.8 V.
     ///
     /// `timer` is the priority of the timer's interrupt, as RTIC counts. A task of a higher one must not wait for
     /// the clock: it would be woken by a lower one.
@@ -159,14 +159,15 @@ impl<W: Wiring> Stm32F4<W> {
         let clocks = source.pclk1(Hertz::from_raw(APB1)).pclk2(Hertz::from_raw(APB2));
         let Resources { rcc, port, can, timer: tim2 } = resources;
         sleep_between_tasks();
-        if !crystal::start(&rcc, is_clock) {
+        if !failure::start_crystal(&rcc, is_clock) {
             return Err(BoardError::Crystal);
         }
         let mut rcc = rcc.freeze(clocks);
         if !pll::switch_to(&rcc, const { pll::factors(W::OSCILLATOR.hertz) }) {
             return Err(BoardError::Crystal);
         }
-        crystal::watch(&rcc);
+        failure::watch_crystal(&rcc);
+        failure::watch_supply(&rcc);
         pac::TIM2::enable(&mut rcc);
         pac::TIM2::reset(&mut rcc);
         clock::start(tim2, TIMERS, timer);

@@ -253,6 +253,13 @@ impl Cluster {
         self.nodes[node.0].0.set_crystal(at, runs);
     }
 
+    /// The supply of a node sinks below the threshold of the voltage detector at the present instant, or rises above it. If
+    /// the firmware has switched the detector on, it is told (RM0090, 5.2.3).
+    pub fn set_supply(&mut self, node: NodeId, is_low: bool) {
+        let at = self.bus.now();
+        self.nodes[node.0].0.set_supply(at, is_low);
+    }
+
     /// Lets time pass until `to`. Nodes stop within a few cycles of it.
     pub fn run_until(&mut self, to: VirtualInstant) {
         loop {

@@ -52,6 +52,7 @@ fn wiring(config: &NodeConfig) -> Wiring {
         error: config.clock_error,
         crystal_hertz: config.crystal.to_Hz(),
         crystal_runs: config.crystal_runs,
+        supply_is_low: config.supply_is_low,
         low_speed_hertz: config.low_speed.to_Hz(),
         can: config.can,
     }

@@ -114,13 +114,24 @@ impl Node {
     /// Its crystal begins to oscillate, or fails.
     pub(crate) fn set_crystal(&mut self, at: VirtualInstant, runs: bool) {
         self.config.crystal_runs = runs;
+        self.change(at, |system| system.set_crystal(runs));
+    }
+
+    /// Its supply sinks below the threshold of the voltage detector, or rises above it.
+    pub(crate) fn set_supply(&mut self, at: VirtualInstant, is_low: bool) {
+        self.config.supply_is_low = is_low;
+        self.change(at, |system| system.set_supply(is_low));
+    }
+
+    /// Something changes around the part, if it runs.
+    fn change(&mut self, at: VirtualInstant, to: impl FnOnce(&mut System)) {
         if !self.is_stopped() {
             let mut system = self.system.borrow_mut();
             // If it sleeps, nobody has looked at it since.
             if self.state == State::Asleep {
                 self.pace.sleep_until(system.timebase.cycle_at(at));
             }
-            system.set_crystal(runs);
+            to(&mut system);
         }
     }
 

@@ -37,6 +37,8 @@ pub struct NodeConfig {
     pub crystal: HertzU32,
     /// It oscillates.
     pub crystal_runs: bool,
+    /// Its supply is below the threshold of the voltage detector, and above what the part runs with.
+    pub supply_is_low: bool,
     /// The internal low-speed oscillator, which the independent watchdog counts: 32 kHz, but 17 to 47 kHz over parts
     /// and temperatures (STM32F405 datasheet, 5.3.9).
     pub low_speed: HertzU32,
@@ -62,6 +64,7 @@ impl NodeConfig {
             start_at: time::EPOCH,
             crystal: HertzU32::MHz(8),
             crystal_runs: true,
+            supply_is_low: false,
             low_speed: HertzU32::kHz(32),
             can: CanController::Can1,
             unique_id,

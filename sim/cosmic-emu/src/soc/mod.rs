@@ -9,6 +9,7 @@
 pub(crate) mod can;
 mod gpio;
 mod nvic;
+mod power;
 mod rcc;
 mod storage;
 mod system_control;
@@ -25,6 +26,7 @@ use can::{CanController, CanPair};
 use cosmic_bus::VirtualInstant;
 use gpio::Port;
 pub(crate) use nvic::{Masks, Nvic, number};
+use power::Power;
 use rcc::{Clocks, Rcc};
 use storage::Storage;
 use system_control::{Effect, SystemControl};
@@ -47,6 +49,7 @@ pub(crate) struct Wiring {
     pub(crate) error: ClockError,
     pub(crate) crystal_hertz: u32,
     pub(crate) crystal_runs: bool,
+    pub(crate) supply_is_low: bool,
     pub(crate) low_speed_hertz: u32,
     /// Where the transceiver is.
     pub(crate) can: CanController,
@@ -78,6 +81,7 @@ pub(crate) struct System {
     pub(crate) control: SystemControl,
     pub(crate) can: CanPair,
     rcc: Rcc,
+    power: Power,
     timers: [Timer; 4],
     ports: [Port; 9],
     storage: Storage,
@@ -113,7 +117,7 @@ impl System {
     }
 
     fn with_clocks(pace: &Rc<Pace>, start: VirtualInstant, wiring: Wiring, rcc: Rcc) -> Self {
-        let Wiring { error, low_speed_hertz, can: wired, .. } = wiring;
+        let Wiring { error, low_speed_hertz, supply_is_low, can: wired, .. } = wiring;
         Self {
             pace: Rc::clone(pace),
             timebase: Timebase::new(start, rcc.clocks().hclk_hertz, error),
@@ -121,6 +125,7 @@ impl System {
             control: SystemControl::new(),
             can: CanPair::new(wired),
             rcc,
+            power: Power::new(supply_is_low),
             timers: [u32::MAX, 0xFFFF, 0xFFFF, u32::MAX].map(Timer::new),
             ports: core::array::from_fn(|port| match port {
                 0 => Port::new(0xA800_0000, 0x6400_0000),
@@ -214,6 +219,7 @@ impl System {
         for (timer, interrupt) in self.timers.iter().zip(TIMER_INTERRUPTS) {
             self.nvic.set_line(interrupt, timer.interrupt());
         }
+        self.nvic.set_line(power::INTERRUPT, self.power.interrupt());
         for (interrupt, asserted) in self.can.interrupts() {
             self.nvic.set_line(interrupt, asserted);
         }
@@ -236,6 +242,7 @@ impl System {
             PRIVATE..=u32::MAX => self.control.read(self.pace.cycle(), address - PRIVATE, &self.nvic),
             0x4000_0000..=0x4000_0FFF => self.timers[timer_at(address)].read(offset),
             IWDG..=0x4000_33FF => self.watchdog.read(offset),
+            power::PWR..=0x4000_73FF | power::EXTI..=0x4001_3FFF => self.power.read(address),
             CAN1..=0x4000_6BFF => self.can.read(controller_at(address), offset),
             0x4002_0000..=0x4002_23FF => self.ports[port_at(address)].read(offset),
             0x4002_3800..=0x4002_3BFF => self.rcc.read(offset),
@@ -269,6 +276,9 @@ impl System {
                 self.update_watchdog();
                 Ok(())
             }
+            power::PWR..=0x4000_73FF | power::EXTI..=0x4001_3FFF => {
+                self.power.write(address, value).ok_or(())
+            }
             CAN1..=0x4000_6BFF => self.can.write(controller_at(address), now, offset, value).map_err(|_| ()),
             0x4002_0000..=0x4002_23FF => self.write_port(port_at(address), offset, value),
             0x4002_3800..=0x4002_3BFF => self.write_rcc(offset, value),
@@ -299,6 +309,13 @@ impl System {
             self.nvic.pend(number::NMI);
         }
         self.follow_clocks(before);
+    }
+
+    /// The supply sinks below the threshold of the voltage detector, or rises above it.
+    pub(crate) fn set_supply(&mut self, is_low: bool) {
+        self.advance();
+        self.power.set_supply(is_low);
+        self.update_lines();
     }
 
     /// After a change of RCC: what depends on its clocks and resets.
@@ -441,6 +458,7 @@ mod tests {
             error: ClockError::ZERO,
             crystal_hertz: 8_000_000,
             crystal_runs: true,
+            supply_is_low: false,
             low_speed_hertz: 32_000,
             can,
         };

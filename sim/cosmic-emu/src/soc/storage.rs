@@ -12,9 +12,6 @@ pub(crate) struct Storage {
 
 /// First and last address of each range, and the reset value.
 const KEPT: &[(u32, u32, u32)] = &[
-    // Power: the regulator output is ready (VOSRDY).
-    (0x4000_7000, 0x4000_7000, 0x0000_C000),
-    (0x4000_7004, 0x4000_7004, 0x0000_4000),
     // System configuration: memory remap, external interrupt sources, compensation cell.
     (0x4001_3800, 0x4001_3823, 0),
     // Flash interface: wait states and caches, which the timing does not model.
@@ -45,10 +42,7 @@ impl Storage {
 
     pub(crate) fn write(&mut self, address: u32, value: u32) -> Result<(), ()> {
         reset_value(address).ok_or(())?;
-        // The power status register is read-only.
-        if address != 0x4000_7004 {
-            self.values.insert(address, value);
-        }
+        self.values.insert(address, value);
         Ok(())
     }
 }
