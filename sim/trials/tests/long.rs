@@ -11,6 +11,12 @@ use cosmic_trials::Trial;
 const SETTLED: u64 = 2;
 /// Looked at as a whole.
 const SPAN: u64 = 10;
+/// By which the cycles that a node is awake in a span differ from those of the first, of 10 000. What comes together with
+/// what changes as the clocks drift: up to 741 were seen.
+const WORK_DIFFERS: u64 = 1_000;
+/// The same for the worker, which mostly follows the calendar: up to 60 were seen. If its interrupt goes the long way, as it
+/// once did from the first turn of the timer on, it is 112 in the span of that turn.
+const CALENDAR_DIFFERS: u64 = 80;
 
 fn drifts(config: &mut NodeConfig) {
     let parts = match config.name.as_str() {
@@ -28,6 +34,7 @@ fn runs_for(seconds: u64) {
     trial.seen.clear();
     trial.trace.clear();
     let mut exceptions = BTreeMap::new();
+    let mut awake = Awake::new(&trial);
     for span in 0..seconds / SPAN {
         let from = SETTLED + span * SPAN;
         trial.run_until(1000 * (from + SPAN));
@@ -52,10 +59,42 @@ fn runs_for(seconds: u64) {
             assert_eq!(status.exceptions, before, "{at} ms: {status:?}");
             assert!(status.uptime.duration().as_secs().abs_diff(at / 1000) <= 1, "{at} ms: {status:?}");
         }
+        awake.looks_at_span(&trial, from);
         trial.seen.clear();
         trial.trace.clear();
     }
     assert_eq!(exceptions.len(), 3);
+}
+
+/// The cycles that each node was awake, by which its work shows.
+struct Awake {
+    /// Up to the last span.
+    before: Vec<u64>,
+    /// In the first span.
+    first: Option<Vec<u64>>,
+}
+
+impl Awake {
+    fn new(trial: &Trial) -> Self {
+        Self { before: Self::until_now(trial), first: None }
+    }
+
+    fn until_now(trial: &Trial) -> Vec<u64> {
+        trial.nodes.iter().map(|(_, node)| trial.cluster.awake(*node)).collect()
+    }
+
+    /// Each span takes as much work as the first, to within these bounds.
+    fn looks_at_span(&mut self, trial: &Trial, from: u64) {
+        let now = Self::until_now(trial);
+        let span: Vec<_> = now.iter().zip(&self.before).map(|(now, before)| now - before).collect();
+        let first = self.first.get_or_insert_with(|| span.clone());
+        for ((name, _), (span, first)) in trial.nodes.iter().zip(span.iter().zip(first)) {
+            let differs = 10_000 * span.abs_diff(*first) / *first;
+            let bound = if *name == "worker" { CALENDAR_DIFFERS } else { WORK_DIFFERS };
+            assert!(differs <= bound, "{from} s: {name} was awake {span} cycles, first {first}");
+        }
+        self.before = now;
+    }
 }
 
 #[test]
