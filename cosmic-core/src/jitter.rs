@@ -13,14 +13,18 @@ impl Jitter {
     }
 
     /// A span that is less than `limit`, or zero.
-    #[expect(clippy::arithmetic_side_effects, reason = "64 bits by 64 bits fit 128")]
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "32 bits by 32 bits fit 64, and the sum is below the limit"
+    )]
     pub(crate) fn below(&mut self, limit: Duration) -> Duration {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        let mixed = mixed ^ mixed >> 31;
-        // The high half of the product is uniform below the limit, without a division.
-        Duration::from_ticks(((u128::from(mixed) * u128::from(limit.as_ticks())) >> 64) as u64)
+        // What is above the point of the product is uniform below the limit, without a division.
+        let fraction = (mixed ^ mixed >> 31) >> 32;
+        let (high, low) = (limit.as_ticks() >> 32, limit.as_ticks() & u64::from(u32::MAX));
+        Duration::from_ticks(high * fraction + ((low * fraction) >> 32))
     }
 
     /// A span from half of `mean` to one and a half of it.
@@ -55,6 +59,10 @@ mod tests {
         }
         assert_eq!(equal, 0);
         assert_eq!(one.below(Duration::from_ticks(0)), Duration::from_ticks(0));
+        // Far beyond the longest span: no overflow, and spans as long as that.
+        let spans = [(); 1000].map(|()| one.below(Duration::from_ticks(u64::MAX)).as_ticks());
+        assert!(spans.iter().any(|span| *span > u64::MAX / 100 * 99));
+        assert!(spans.iter().any(|span| *span < u64::MAX / 100));
         assert!(one.around(limit) >= Duration::from_millis(5));
     }
 

@@ -74,11 +74,30 @@ pub struct Configuration {
     answer_at: Instant,
     // What `poll` hands out: first the request that has become void, then events, then a frame. A newer
     // frame replaces an older one that nobody has fetched: it makes the older one void.
-    request: Option<Frame>,
-    void: Option<Frame>,
+    request: Option<Stage>,
+    void: Option<Stage>,
     events: Ring<ConfigurationEvent, 4>,
     events_dropped: u16,
-    send: Option<Frame>,
+    send: Option<Outgoing>,
+}
+
+/// A frame of this node, before it is put together.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Outgoing {
+    Request(Stage),
+    Identity(TxNode),
+    Release(TxNode),
+}
+
+impl Outgoing {
+    #[inline(never)]
+    fn encode(self, uid: NodeUid) -> Frame {
+        match self {
+            Self::Request(stage) => ConfigurationRequest::new(uid, stage).encode(),
+            Self::Identity(tx_node) => NodeIdentity { tx_node, uid }.encode(),
+            Self::Release(tx_node) => Release { tx_node, uid }.encode(),
+        }
+    }
 }
 
 impl Configuration {
@@ -157,7 +176,7 @@ impl Configuration {
     /// Gives the id back to the broker, for good: the node sends nothing behind the frame of this.
     pub fn release(&mut self) {
         if let State::Configured { tx_node } | State::Claiming { tx_node, .. } = self.state {
-            self.send = Some(Release { tx_node, uid: self.uid }.encode());
+            self.send = Some(Outgoing::Release(tx_node));
         }
         self.withdraw_request();
         self.enter(State::Released, Instant::FAR_FUTURE);
@@ -196,13 +215,13 @@ impl Configuration {
         if now >= self.answer_at {
             self.identify(now);
         }
-        if let Some(frame) = self.void.take() {
-            return Some(Output::Withdraw(frame));
+        if let Some(stage) = self.void.take() {
+            return Some(Output::Withdraw(Outgoing::Request(stage).encode(self.uid)));
         }
         if let Some(event) = self.events.pop() {
             return Some(Output::Event(event));
         }
-        self.send.take().map(Output::Send)
+        Some(Output::Send(self.send.take()?.encode(self.uid)))
     }
 
     /// When `poll` must be called even if no frame arrives.
@@ -367,9 +386,8 @@ impl Configuration {
     }
 
     fn ask(&mut self, now: Instant, stage: Stage, tries: u8) {
-        let request = ConfigurationRequest::new(self.uid, stage).encode();
-        self.request = Some(request);
-        self.send = Some(request);
+        self.request = Some(stage);
+        self.send = Some(Outgoing::Request(stage));
         let patience = doubled(self.timing.reply, self.failures.min(4));
         self.enter(State::Asking { stage, tries }, now + patience);
     }
@@ -423,18 +441,16 @@ impl Configuration {
         self.answer_at = Instant::FAR_FUTURE;
         if let Some(tx_node) = self.claimed() {
             self.no_answer_until = now + self.third_of_claim();
-            self.send = Some(NodeIdentity { tx_node, uid: self.uid }.encode());
+            self.send = Some(Outgoing::Identity(tx_node));
         }
     }
 
     fn withdraw_request(&mut self) {
-        let Some(request) = self.request.take() else {
-            return;
-        };
-        if self.send == Some(request) {
+        let Some(stage) = self.request.take() else { return };
+        if self.send == Some(Outgoing::Request(stage)) {
             self.send = None; // nobody has fetched it
         } else {
-            self.void = Some(request);
+            self.void = Some(stage);
         }
     }
 

@@ -167,6 +167,8 @@ impl<
                 }
                 Ok(Due::NOTHING)
             }
+            // Such a channel is not announced.
+            Published::Soft(_) if SOFT == 0 => Err(PublishError::NotAnnounced),
             Published::Soft(outgoing) if !PLAIN && self.layer.is_demoted(tag) => {
                 let frame = outgoing.frame;
                 let frame = Frame::new(frame.id.with_priority(Priority::LEAST), frame.payload);

@@ -137,14 +137,7 @@ struct Loaded {
     entry: Entry,
 }
 
-#[derive(Clone, Copy, Debug)]
-enum InMailbox {
-    Empty,
-    Loaded(Loaded),
-    /// A withdrawal has been requested. What comes back goes to the queue, or nowhere.
-    Withdrawing(Loaded, AndThen),
-}
-
+/// What becomes of the event in a mailbox when it comes back.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum AndThen {
     Requeue,
@@ -156,26 +149,30 @@ enum AndThen {
 pub(super) struct Lane<const N: usize> {
     mailbox: Mailbox,
     queue: Queue<Entry, N>,
-    content: InMailbox,
+    /// What is in the mailbox.
+    content: Option<Loaded>,
+    /// A withdrawal of that has been requested.
+    withdrawing: Option<AndThen>,
     /// No entry in the queue needs attention before this.
     attention_at: Instant,
 }
 
 impl<const N: usize> Lane<N> {
     pub(super) const fn new(mailbox: Mailbox) -> Self {
-        Self { mailbox, queue: Queue::new(), content: InMailbox::Empty, attention_at: Instant::FAR_FUTURE }
+        let (queue, attention_at) = (Queue::new(), Instant::FAR_FUTURE);
+        Self { mailbox, queue, content: None, withdrawing: None, attention_at }
     }
 
     /// Frames that wait or are in the mailbox.
     #[expect(clippy::arithmetic_side_effects, reason = "at most 255, and one")]
     pub(super) fn len(&self) -> usize {
-        self.queue.len() + usize::from(!matches!(self.content, InMailbox::Empty))
+        self.queue.len() + usize::from(self.content.is_some())
     }
 
     /// Returns whether the mailbox is free and nothing goes before a new event.
     #[inline]
     pub(super) fn is_idle(&self) -> bool {
-        self.queue.is_empty() && matches!(self.content, InMailbox::Empty)
+        self.queue.is_empty() && self.content.is_none()
     }
 
     /// Leaves `reserve` places free. The frame in the mailbox comes back to the queue if it is withdrawn,
@@ -192,33 +189,35 @@ impl<const N: usize> Lane<N> {
     /// Puts an entry into the mailbox past the queue; only when the lane [is idle](Self::is_idle).
     #[inline]
     pub(super) fn load_directly(&mut self, key: u64, entry: Entry) {
-        self.content = InMailbox::Loaded(Loaded { key, order: 0, entry });
+        self.content = Some(Loaded { key, order: 0, entry });
     }
 
     /// Loads the head, if the mailbox is free.
     pub(super) fn load(&mut self) -> Option<Outgoing> {
-        if !matches!(self.content, InMailbox::Empty) {
+        if self.content.is_some() {
             return None;
         }
         let (key, order, entry) = self.queue.pop()?;
-        self.content = InMailbox::Loaded(Loaded { key, order, entry });
+        self.content = Some(Loaded { key, order, entry });
         Some(entry.outgoing)
     }
 
     /// Returns whether an event waits that goes before the one in the mailbox.
     pub(super) fn is_overtaken(&self) -> bool {
-        match (&self.content, self.queue.first_key()) {
-            (InMailbox::Loaded(loaded), Some(first)) => first < loaded.key,
+        match (self.pending(), self.queue.first_key()) {
+            (Some(loaded), Some(first)) => first < loaded.key,
             _ => false,
         }
     }
 
+    /// What is in the mailbox, unless it is being withdrawn.
+    fn pending(&self) -> Option<&Loaded> {
+        self.content.as_ref().filter(|_| self.withdrawing.is_none())
+    }
+
     /// What is in the mailbox and not being withdrawn.
     pub(super) fn loaded(&self) -> Option<&Outgoing> {
-        match &self.content {
-            InMailbox::Loaded(loaded) => Some(&loaded.entry.outgoing),
-            _ => None,
-        }
+        self.pending().map(|loaded| &loaded.entry.outgoing)
     }
 
     /// Asks for the frame in the mailbox, to send it later or under another identifier.
@@ -227,8 +226,8 @@ impl<const N: usize> Lane<N> {
     }
 
     fn withdraw_and(&mut self, then: AndThen) -> Option<Command> {
-        let InMailbox::Loaded(loaded) = self.content else { return None };
-        self.content = InMailbox::Withdrawing(loaded, then);
+        self.pending()?;
+        self.withdrawing = Some(then);
         Some(Command::Withdraw(self.mailbox))
     }
 
@@ -236,14 +235,13 @@ impl<const N: usize> Lane<N> {
     /// that is returned. O(N²), and O(N) for one event.
     pub(super) fn recall(&mut self, which: impl Fn(&Outgoing) -> bool) -> Option<Command> {
         while self.queue.take_where(|entry| which(&entry.outgoing)).is_some() {}
-        match self.content {
-            InMailbox::Loaded(loaded) if which(&loaded.entry.outgoing) => self.withdraw_and(AndThen::Forget),
-            InMailbox::Withdrawing(loaded, _) if which(&loaded.entry.outgoing) => {
-                self.content = InMailbox::Withdrawing(loaded, AndThen::Forget);
-                None
-            }
-            _ => None,
+        if !self.content.as_ref().is_some_and(|loaded| which(&loaded.entry.outgoing)) {
+            return None;
         }
+        // Once only is the frame asked for.
+        let command = self.withdraw();
+        self.withdrawing = Some(AndThen::Forget);
+        command
     }
 
     /// The channel of this source has another etag: what has not been sent goes under the new one, as far
@@ -260,16 +258,9 @@ impl<const N: usize> Lane<N> {
         for entry in self.queue.iter_mut() {
             renamed(&mut entry.outgoing);
         }
-        match &mut self.content {
-            InMailbox::Loaded(loaded) => {
-                if renamed(&mut loaded.entry.outgoing) {
-                    return self.withdraw();
-                }
-            }
-            InMailbox::Withdrawing(loaded, _) => _ = renamed(&mut loaded.entry.outgoing),
-            InMailbox::Empty => {}
-        }
-        None
+        let is_old = self.content.as_mut().is_some_and(|loaded| renamed(&mut loaded.entry.outgoing));
+        // What is being withdrawn comes back anyway.
+        if is_old { self.withdraw() } else { None }
     }
 
     /// The identifier of what meets the condition is not its own any more: it is discarded. O(N).
@@ -277,13 +268,17 @@ impl<const N: usize> Lane<N> {
         for entry in self.queue.iter_mut().filter(|entry| which(&entry.outgoing)) {
             entry.lose_identifier(now);
         }
-        match &mut self.content {
-            InMailbox::Loaded(loaded) if which(&loaded.entry.outgoing) => loaded.entry.lose_identifier(now),
-            InMailbox::Withdrawing(loaded, then @ AndThen::Requeue) if which(&loaded.entry.outgoing) => {
-                loaded.entry.lose_identifier(now);
-                *then = AndThen::Expire;
+        if let Some(loaded) = &mut self.content
+            && which(&loaded.entry.outgoing)
+        {
+            match &mut self.withdrawing {
+                Some(AndThen::Expire | AndThen::Forget) => {}
+                Some(then @ AndThen::Requeue) => {
+                    loaded.entry.lose_identifier(now);
+                    *then = AndThen::Expire;
+                }
+                None => loaded.entry.lose_identifier(now),
             }
-            InMailbox::Withdrawing(..) | InMailbox::Loaded(_) | InMailbox::Empty => {}
         }
         // The next call looks through all of them.
         self.attention_at = Instant::EPOCH;
@@ -291,12 +286,8 @@ impl<const N: usize> Lane<N> {
 
     /// The mailbox has become empty.
     pub(super) fn on_outcome(&mut self, outcome: Outcome, at: Instant) -> Departure {
-        let (loaded, then) = match self.content {
-            InMailbox::Empty => return Departure::default(),
-            InMailbox::Loaded(loaded) => (loaded, AndThen::Requeue),
-            InMailbox::Withdrawing(loaded, then) => (loaded, then),
-        };
-        self.content = InMailbox::Empty;
+        let Some(loaded) = self.content.take() else { return Departure::default() };
+        let then = self.withdrawing.take().unwrap_or(AndThen::Requeue);
         let mut departure = Departure::default();
         match (outcome, then) {
             (Outcome::Sent, _) => {
@@ -324,16 +315,15 @@ impl<const N: usize> Lane<N> {
     }
 
     pub(super) fn next_attention(&self) -> Instant {
-        match &self.content {
-            InMailbox::Loaded(loaded) => self.attention_at.min(loaded.entry.attention_at()),
-            _ => self.attention_at,
-        }
+        self.pending().map_or(self.attention_at, |loaded| self.attention_at.min(loaded.entry.attention_at()))
     }
 
     /// Reports or discards one event: O(N). What is discarded from the mailbox is reported when it has
     /// left it.
     pub(super) fn attend(&mut self, now: Instant) -> Option<Attended> {
-        if let InMailbox::Loaded(loaded) = &mut self.content {
+        if let Some(loaded) = &mut self.content
+            && self.withdrawing.is_none()
+        {
             match loaded.entry.examine(now) {
                 Some(IncidentKind::Expired | IncidentKind::IdentifierLost) => {
                     return self.withdraw_and(AndThen::Expire).map(Attended::Command);
