@@ -1,19 +1,16 @@
 //! The bxCAN controller: brings it up, and takes it apart for its owners.
 //!
-//! Modes, bit timing, acceptance filters and interrupts are set here (RM0090, bxCAN operating modes and
-//! identifier filtering). What the controller does from then on belongs to the [`Parts`].
+//! Modes, bit timing and interrupts are set here (RM0090, bxCAN operating modes), and the acceptance filters
+//! [beside it](crate::bxcan_filters). What the controller does from then on belongs to the [`Parts`].
 
-use cosmic_core::can::filter_banks::{Fifo, FilterBank};
+use cosmic_core::can::filter_banks::FilterBank;
 
 use crate::bit_timing::BitTiming;
+use crate::bxcan_filters::{BANKS, Banks, SpareBanks, TooManyFilters};
 use crate::bxcan_rx::RxFrames;
 use crate::bxcan_status::{self, BusStatus, StatusChanges};
 use crate::bxcan_tx::{self, HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::registers::Registers;
-
-/// Filter banks of a controller: of the 28 that both share, CAN1 has those before the reset value of `CAN2SB`, and CAN2
-/// the others.
-pub const BANKS: usize = 14;
 
 /// Why a controller cannot be set up.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -28,9 +25,7 @@ pub enum SetUpError {
 /// [`split`](Self::split).
 pub struct Controller {
     registers: Registers,
-    /// The registers that the filters are in: those of CAN1 (RM0090, dual CAN).
-    filters: Registers,
-    first_bank: usize,
+    banks: Banks,
 }
 
 /// The parts of a controller, each for one owner.
@@ -62,7 +57,7 @@ impl Controller {
     pub const unsafe fn new(base: *mut u32) -> Self {
         // SAFETY: what the caller promises.
         let registers = unsafe { Registers::new(base) };
-        Self { registers, filters: registers, first_bank: 0 }
+        Self { registers, banks: Banks { registers, first: 0 } }
     }
 
     /// Takes over CAN2, and its banks among the filters of CAN1, whose clock must be on.
@@ -72,25 +67,28 @@ impl Controller {
     pub const unsafe fn second(base: *mut u32, of_can1: *mut u32) -> Self {
         // SAFETY: what the caller promises.
         let (registers, filters) = unsafe { (Registers::new(base), Registers::new(of_can1)) };
-        Self { registers, filters, first_bank: BANKS }
+        Self { registers, banks: Banks { registers: filters, first: BANKS } }
     }
 
-    /// Puts the controller into initialisation mode, and sets it up. It takes no part in the traffic yet.
+    /// Puts the controller into initialisation mode, and sets it up. It takes no part in the traffic yet. With
+    /// `leaves_spare`, everything is accepted until the banks that are returned are set; without, there are none.
     ///
     /// # Errors
-    /// If it does not answer, or there are more than [`BANKS`] filters; those that have a bank are written then.
+    /// If it does not answer, or there are more filters than [`BANKS`], of which two must be left to be spare; those that
+    /// have a bank are written then.
     pub fn set_up<'a>(
         &mut self,
         timing: BitTiming,
         filters: impl Iterator<Item = &'a FilterBank>,
-    ) -> Result<(), SetUpError> {
+        leaves_spare: bool,
+    ) -> Result<SpareBanks, SetUpError> {
         let registers = self.registers;
         registers.write(MCR, registers.read(MCR) & MCR_DBF | MCR_INRQ);
         if !self.waits_until(|status| status & MSR_INAK != 0) {
             return Err(SetUpError::NoAnswer);
         }
         configure(registers, timing);
-        apply_filters(self.filters, self.first_bank, filters)
+        self.banks.apply(filters, leaves_spare).map_err(|TooManyFilters| SetUpError::TooManyFilters)
     }
 
     /// Takes part in the traffic, once the bus has been recessive for 11 bits; waits for that, but not for ever.
@@ -134,63 +132,15 @@ fn configure(registers: Registers, timing: BitTiming) {
     registers.write(IER, IER_TMEIE | IER_FMPIE0 | IER_FMPIE1 | bxcan_status::INTERRUPTS);
 }
 
-/// Writes the filters to a controller's banks, from the first on, and switches its others off. Nothing is received for
-/// that time.
-fn apply_filters<'a>(
-    registers: Registers,
-    first_bank: usize,
-    filters: impl Iterator<Item = &'a FilterBank>,
-) -> Result<(), SetUpError> {
-    registers.write(FMR, registers.read(FMR) | FMR_FINIT);
-    let (mut used, mut lists, mut to_other) = (0, 0, 0);
-    let mut result = Ok(());
-    for (number, filter) in filters.enumerate() {
-        if number >= BANKS {
-            result = Err(SetUpError::TooManyFilters);
-            break;
-        }
-        let bank = first_bank + number;
-        let bit = 1 << bank;
-        used |= bit;
-        if filter.fifo() == Fifo::Other {
-            to_other |= bit;
-        }
-        if matches!(filter, FilterBank::List { .. }) {
-            lists |= bit;
-        }
-        let [first, second] = filter.registers();
-        registers.write(BANK_0 + BANK_STRIDE * bank, first);
-        registers.write(BANK_0 + BANK_STRIDE * bank + 4, second);
-    }
-    // The bits of the other controller's banks stay.
-    let own = OWN_BANKS << first_bank;
-    let set = |register, bits| registers.write(register, registers.read(register) & !own | bits);
-    set(FM1R, lists);
-    set(FS1R, used);
-    set(FFA1R, to_other);
-    set(FA1R, used);
-    registers.write(FMR, registers.read(FMR) & !FMR_FINIT);
-    result
-}
-
 /// So often the status is read until a mode has changed: each takes 5 cycles at least, 30 ms at 168 MHz in all. A frame
 /// takes 3 ms at 50 kbit/s.
 const PATIENCE: u32 = 1_000_000;
-
-const OWN_BANKS: u32 = (1 << BANKS) - 1;
 
 // RM0090, bxCAN register map.
 const MCR: usize = 0x00;
 const MSR: usize = 0x04;
 const IER: usize = 0x14;
 const BTR: usize = 0x1C;
-const FMR: usize = 0x200;
-const FM1R: usize = 0x204;
-const FS1R: usize = 0x20C;
-const FFA1R: usize = 0x214;
-const FA1R: usize = 0x21C;
-const BANK_0: usize = 0x240;
-const BANK_STRIDE: usize = 8;
 
 const MCR_INRQ: u32 = 1 << 0;
 const MCR_SLEEP: u32 = 1 << 1;
@@ -201,16 +151,18 @@ const MSR_SLAK: u32 = 1 << 1;
 const IER_TMEIE: u32 = 1 << 0;
 const IER_FMPIE0: u32 = 1 << 1;
 const IER_FMPIE1: u32 = 1 << 4;
-const FMR_FINIT: u32 = 1 << 0;
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bxcan_filters::{FA1R, FFA1R, FM1R, FMR, FS1R};
     use crate::registers::Memory;
-    use cosmic_core::can::{BitRate, Id};
+    use cosmic_core::can::BitRate;
+    use cosmic_core::can::filter_banks::Fifo;
 
     fn first(memory: &mut Memory) -> Controller {
-        Controller { registers: memory.registers(), filters: memory.registers(), first_bank: 0 }
+        let registers = memory.registers();
+        Controller { registers, banks: Banks { registers, first: 0 } }
     }
 
     #[test]
@@ -221,9 +173,10 @@ mod tests {
             first.set(register, 0x0800_0021);
         }
         let timing = BitTiming::new(42_000_000, BitRate::MAX).unwrap();
-        let (registers, filters) = (second.registers(), first.registers());
-        let mut controller = Controller { registers, filters, first_bank: BANKS };
-        assert_eq!(controller.set_up(timing, [mask(Fifo::Other)].iter()), Ok(()));
+        let banks = Banks { registers: first.registers(), first: BANKS };
+        let mut controller = Controller { registers: second.registers(), banks };
+        let filters = [FilterBank::Mask { id: 0x0020_0012, mask: 0x1FE0_3FFF, fifo: Fifo::Other }];
+        assert!(controller.set_up(timing, filters.iter(), false).is_ok());
         assert_eq!([FM1R, FS1R, FFA1R, FA1R].map(|at| first.at(at)), [0x21, 0x4021, 0x4021, 0x4021]);
         assert_eq!((first.at(0x240 + 8 * 14), first.at(MCR), first.at(BTR)), (0x0100_0094, 0, 0));
         assert_eq!((second.at(BTR), second.at(FA1R), second.at(FMR)), (timing.register(), 0, 0));
@@ -237,7 +190,7 @@ mod tests {
         let timing = BitTiming::new(42_000_000, BitRate::MAX).unwrap();
         memory.set(MSR, MSR_INAK);
         let mut controller = first(&mut memory);
-        assert_eq!(controller.set_up(timing, [].iter()), Ok(()));
+        assert!(controller.set_up(timing, [].iter(), false).is_ok());
         assert_eq!(memory.at(MCR), 0x0001_0041);
         assert_eq!(memory.at(BTR), timing.register());
         assert_eq!(memory.at(IER), 0x8713);
@@ -251,42 +204,11 @@ mod tests {
         let mut memory = Memory::new();
         let timing = BitTiming::new(42_000_000, BitRate::MAX).unwrap();
         let mut controller = first(&mut memory);
-        assert_eq!(controller.set_up(timing, [].iter()), Err(SetUpError::NoAnswer));
+        assert_eq!(controller.set_up(timing, [].iter(), false).err(), Some(SetUpError::NoAnswer));
         // Held dominant: the controller stays in initialisation mode, and is asked to leave it.
         memory.set(MSR, MSR_INAK);
-        assert_eq!(controller.set_up(timing, [].iter()), Ok(()));
+        assert!(controller.set_up(timing, [].iter(), false).is_ok());
         assert!(!controller.join());
         assert_eq!(memory.at(MCR), 0x40);
-    }
-
-    fn mask(fifo: Fifo) -> FilterBank {
-        FilterBank::Mask { id: 0x0020_0012, mask: 0x1FE0_3FFF, fifo }
-    }
-
-    #[test]
-    fn filters_are_extended_data_frames_only() {
-        let mut memory = Memory::new();
-        memory.set(FMR, 0x2A1C_0E01);
-        // The other controller's, and an old one of ours.
-        for register in [FM1R, FS1R, FFA1R, FA1R] {
-            memory.set(register, 0x0F00_0020);
-        }
-        let ids = [0x1234, 0x1FFF_FFFF].map(|raw| Id::from_raw(raw).unwrap());
-        let filters = [mask(Fifo::Other), FilterBank::List { ids, fifo: Fifo::Urgent }];
-        assert_eq!(apply_filters(memory.registers(), 0, filters.iter()), Ok(()));
-        assert_eq!(memory.at(FMR), 0x2A1C_0E00);
-        assert_eq!([FM1R, FS1R].map(|at| memory.at(at)), [0x0F00_0002, 0x0F00_0003]);
-        assert_eq!([FFA1R, FA1R].map(|at| memory.at(at)), [0x0F00_0001, 0x0F00_0003]);
-        let banks = [0x240, 0x244, 0x248, 0x24C].map(|at| memory.at(at));
-        assert_eq!(banks, [0x0100_0094, 0xFF01_FFFE, 0x91A4, 0xFFFF_FFFC]);
-    }
-
-    #[test]
-    fn more_filters_than_banks_are_refused() {
-        let mut memory = Memory::new();
-        let filters = [const { FilterBank::Mask { id: 0, mask: 0, fifo: Fifo::Urgent } }; BANKS + 1];
-        assert_eq!(apply_filters(memory.registers(), 0, filters[..BANKS].iter()), Ok(()));
-        assert_eq!(apply_filters(memory.registers(), 0, filters.iter()), Err(SetUpError::TooManyFilters));
-        assert_eq!((memory.at(FA1R), memory.at(0x240 + 8 * BANKS)), (0x3FFF, 0));
     }
 }

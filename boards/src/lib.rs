@@ -4,7 +4,8 @@
 //! [`Outcome`](cosmic_core::can::Outcome)s and frames come out, and time is a parameter. This crate is
 //! the other end: it turns them into register accesses of one microcontroller.
 //!
-//! * [`bxcan`]: brings the controller up, with its acceptance filters, and takes it apart.
+//! * [`bxcan`]: brings the controller up, and takes it apart.
+//! * [`bxcan_filters`]: its acceptance filters, also those that change as the node runs.
 //! * [`bxcan_tx`]: the three transmit mailboxes, each a type of its own, so that the time-triggered half
 //!   of the middleware needs no lock to use its mailbox.
 //! * [`bxcan_rx`]: the two receive FIFOs.
@@ -24,6 +25,7 @@ extern crate std;
 mod alarm;
 pub mod bit_timing;
 pub mod bxcan;
+pub mod bxcan_filters;
 pub mod bxcan_rx;
 pub mod bxcan_status;
 pub mod bxcan_tx;

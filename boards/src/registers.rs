@@ -33,6 +33,8 @@ impl Registers {
     #[inline]
     pub(crate) fn write(self, offset: usize, value: u32) {
         debug_assert!(offset < SIZE);
+        #[cfg(test)]
+        WRITTEN.with_borrow_mut(|written| written.push((offset, value)));
         // SAFETY: as for `read`; a write acts only on the bits that its owner has for itself.
         unsafe { self.base.byte_add(offset).write_volatile(value) }
     }
@@ -40,6 +42,13 @@ impl Registers {
 
 /// Bytes from the first register to behind the last.
 pub(crate) const SIZE: usize = 0x320;
+
+#[cfg(test)]
+std::thread_local! {
+    /// What this test has written so far, in this order.
+    pub(crate) static WRITTEN: core::cell::RefCell<std::vec::Vec<(usize, u32)>> =
+        const { core::cell::RefCell::new(std::vec::Vec::new()) };
+}
 
 /// Memory in place of the peripheral. It keeps what is written last.
 #[cfg(test)]

@@ -20,6 +20,7 @@ use stm32f4xx_hal::time::Hertz;
 
 use crate::bit_timing::{APB1, BitTiming};
 use crate::bxcan::{Parts, SetUpError};
+use crate::bxcan_filters::SpareBanks;
 use crate::bxcan_rx::RxFrames;
 use crate::bxcan_status::{BusStatus, StatusChanges};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
@@ -50,6 +51,8 @@ pub struct Stm32F4<W: Wiring> {
     pub changes: StatusChanges,
     /// The error state of the controller.
     pub bus: BusStatus,
+    /// The filters that change as the node runs.
+    pub filters: SpareBanks,
     /// Pins for an oscilloscope, for whoever takes them.
     pub points: Option<MeasuringPoints>,
     /// The pins of port B that the board does not use.
@@ -100,8 +103,10 @@ macro_rules! resources {
 pub struct Settings<F> {
     /// The bit rate of the bus; one that 42 MHz can give exactly.
     pub bit_rate: BitRate,
-    /// Which frames to receive, and where; at most [`BANKS`](crate::bxcan::BANKS).
+    /// Which frames to receive, and where; at most [`BANKS`](crate::bxcan_filters::BANKS).
     pub filters: F,
+    /// What else to receive is said as the node runs; everything until then. Two banks at least are left for it.
+    pub leaves_spare: bool,
 }
 
 /// Why a board cannot be brought up.
@@ -130,7 +135,8 @@ impl<W: Wiring> Stm32F4<W> {
     /// As [`new`](Self::new).
     pub fn start(resources: OfBoard<W>, node: &NodePlan) -> Result<Self, BoardError> {
         let bit_rate = node.calendar.segment().bit_rate;
-        let settings = Settings { bit_rate, filters: node.filters.iter() };
+        let settings =
+            Settings { bit_rate, filters: node.filters.iter(), leaves_spare: node.named_at_run_time };
         Self::new(resources, settings, CALENDAR_PRIORITY)
     }
 
@@ -193,7 +199,8 @@ impl<W: Wiring> Stm32F4<W> {
             pb11: port.pb11,
         });
         let mut can = W::Can::take(can, &mut rcc);
-        can.set_up(timing, settings.filters).map_err(|error| match error {
+        let set_up = can.set_up(timing, settings.filters, settings.leaves_spare);
+        let filters = set_up.map_err(|error| match error {
             SetUpError::TooManyFilters => BoardError::Filters,
             SetUpError::NoAnswer => BoardError::Controller,
         })?;
@@ -201,7 +208,20 @@ impl<W: Wiring> Stm32F4<W> {
         let _ = can.join();
         let Parts { hard, soft, non_real_time, outcomes, urgent, other, changes, bus } = can.split();
         let points = Some(points);
-        Ok(Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, points, pins, rcc })
+        Ok(Self {
+            hard,
+            soft,
+            non_real_time,
+            outcomes,
+            urgent,
+            other,
+            changes,
+            bus,
+            filters,
+            points,
+            pins,
+            rcc,
+        })
     }
 }
 
@@ -235,6 +255,7 @@ impl<W: Wiring> Board for Stm32F4<W> {
     type Other = RxFrames;
     type Status = BusStatus;
     type Changes = StatusChanges;
+    type Filters = SpareBanks;
 
     #[inline]
     fn now() -> Instant {
@@ -258,8 +279,8 @@ impl<W: Wiring> Board for Stm32F4<W> {
     }
 
     fn split(self) -> BoardParts<Self> {
-        let Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, .. } = self;
-        BoardParts { hard, soft, non_real_time, outcomes, urgent, other, status: bus, changes }
+        let Self { hard, soft, non_real_time, outcomes, urgent, other, changes, bus, filters, .. } = self;
+        BoardParts { hard, soft, non_real_time, outcomes, urgent, other, status: bus, changes, filters }
     }
 }
 

@@ -48,6 +48,9 @@ pub struct NodePlan {
     /// Which frames its controller is to accept: what it subscribes to, the protocol's own as far as they
     /// concern it, and all frames with its own TxNode, which nobody else should send.
     pub filters: &'static [FilterBank],
+    /// A broker gives the node its TxNode, or etags of what it subscribes to. Then `filters` has only what is known without
+    /// them, and the controller accepts all else until the runtime says [what is wanted](crate::EventHalf::wanted).
+    pub named_at_run_time: bool,
     /// The calendar of the segment.
     pub calendar: &'static Calendar,
     /// What it believes of others; `None` if the cluster is not sealed.

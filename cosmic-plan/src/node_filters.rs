@@ -4,10 +4,13 @@
 //! channels that it subscribes to, and all that carry its own TxNode: nobody else should send such a frame, and
 //! it must be noticed if somebody does. It also wants the messages of the protocol, for whoever takes part in
 //! membership, and so that a broker is noticed where there should be none. Of a hard real-time slot the whole identifier
-//! is known. Where the broker hands out etags, they are not known here; then a node that subscribes to such channels
-//! accepts all etags of that range.
+//! is known.
+//!
+//! Where a broker hands out TxNodes and etags, they are not known here. A node that asks for its TxNode, or subscribes to
+//! such a channel, is named at run time: half of the banks are left for what it wants by its names then, and for all
+//! channels that are no hard real-time.
 
-use crate::cluster::{Cluster, Node};
+use crate::cluster::Cluster;
 use crate::plan::Plan;
 use cosmic_core::can::filter_banks::{Fifo, FilterBank, FilterBanks, FilterBanksError, Wanted};
 use cosmic_core::can::{Etag, Id, Priority, TxNode};
@@ -39,13 +42,23 @@ pub fn of_all(cluster: &Cluster, plan: &Plan) -> Result<Vec<Vec<FilterBank>>, No
 }
 
 fn of_node(cluster: &Cluster, plan: &Plan, at: usize) -> Result<Vec<FilterBank>, NoFilters> {
-    let node = &cluster.nodes[at];
     let wanted = wanted(cluster, plan, at);
-    planned(&wanted).map_err(|_| NoFilters { node: node.name.clone(), wanted: wanted.len() })
+    let planned = if is_named_at_run_time(cluster, at) {
+        planned::<{ BANKS / 2 }>(&wanted)
+    } else {
+        planned::<BANKS>(&wanted)
+    };
+    planned.map_err(|_| NoFilters { node: cluster.nodes[at].name.clone(), wanted: wanted.len() })
+}
+
+/// Returns whether a broker gives the node its TxNode, or etags of what it subscribes to.
+pub fn is_named_at_run_time(cluster: &Cluster, at: usize) -> bool {
+    let node = &cluster.nodes[at];
+    node.asks || node.subscribes.iter().any(|channel| cluster.channels[*channel].etag.is_none())
 }
 
 /// The work grows with the cube of the capacity, so it is chosen as small as it suffices.
-fn planned(wanted: &[Wanted]) -> Result<Vec<FilterBank>, FilterBanksError> {
+fn planned<const BANKS: usize>(wanted: &[Wanted]) -> Result<Vec<FilterBank>, FilterBanksError> {
     let banks: FilterBanks<BANKS> = match wanted.len() {
         0..=32 => FilterBanks::plan::<32>(wanted)?,
         33..=128 => FilterBanks::plan::<128>(wanted)?,
@@ -56,8 +69,7 @@ fn planned(wanted: &[Wanted]) -> Result<Vec<FilterBank>, FilterBanksError> {
 
 fn wanted(cluster: &Cluster, plan: &Plan, at: usize) -> Vec<Wanted> {
     let node = &cluster.nodes[at];
-    // Of one that asks it is not known; a claim to it is among the messages of the protocol.
-    let mut wanted: Vec<_> = (!node.asks).then(|| of_own_tx_node(node)).into_iter().collect();
+    let mut wanted = Vec::new();
     if cluster.sync_period.is_some() {
         wanted.push(Wanted::etag(Fifo::Urgent, Etag::SYNC));
         wanted.push(Wanted::etag(Fifo::Urgent, Etag::FOLLOW_UP));
@@ -67,24 +79,12 @@ fn wanted(cluster: &Cluster, plan: &Plan, at: usize) -> Vec<Wanted> {
     let slots = plan.slots().iter().filter(|slot| node.subscribes.contains(&slot.channel));
     let others = slots.filter(|slot| slot.node != at).map(|slot| (slot.slot.etag, slot.slot.publisher));
     wanted.extend(others.map(|(etag, publisher)| Wanted::hard(etag, publisher)));
-    let mut unknown = false;
-    for channel in &node.subscribes {
-        match cluster.channels[*channel].etag {
-            Some(etag) if etag.is_hard() => {}
-            Some(etag) => wanted.push(Wanted::etag(Fifo::Other, etag)),
-            None => unknown = true,
-        }
-    }
-    if unknown {
-        // From 1024 up, one of the four highest bits is set.
-        wanted.extend((10..14).map(|bit| masked(1 << bit, 1 << bit)));
+    if !is_named_at_run_time(cluster, at) {
+        wanted.push(Wanted::tx_node(Fifo::Other, node.tx_node));
+        let etags = node.subscribes.iter().filter_map(|channel| cluster.channels[*channel].etag);
+        wanted.extend(etags.filter(|etag| !etag.is_hard()).map(|etag| Wanted::etag(Fifo::Other, etag)));
     }
     wanted
-}
-
-fn of_own_tx_node(node: &Node) -> Wanted {
-    let tx_node_bits = Id::new(Priority::HARD, TxNode::BROKER, etag(0));
-    Wanted::masked(Fifo::Other, Id::new(Priority::HARD, node.tx_node, etag(0)), tx_node_bits.raw())
 }
 
 /// The etags that agree with one in the bits of a mask.
@@ -126,13 +126,11 @@ mod tests {
 
     #[test]
     fn a_node_accepts_every_frame_with_its_own_tx_node() {
-        for text in [EXAMPLE, &EXAMPLE.replace("\"static\"", "\"broker\"")] {
-            let (cluster, filters) = filters(text);
-            for (node, filters) in cluster.nodes.iter().zip(&filters) {
-                for priority in [0, 1, 100, 255] {
-                    for tag in [0, 16, 19, 100, 101, 1023, 1024, 9_999, 16_383] {
-                        assert!(accepts(filters, priority, node.tx_node.get(), tag), "{} {tag}", node.name);
-                    }
+        let (cluster, filters) = filters(EXAMPLE);
+        for (node, filters) in cluster.nodes.iter().zip(&filters) {
+            for priority in [0, 1, 100, 255] {
+                for tag in [0, 16, 19, 100, 101, 1023, 1024, 9_999, 16_383] {
+                    assert!(accepts(filters, priority, node.tx_node.get(), tag), "{} {tag}", node.name);
                 }
             }
         }
@@ -165,13 +163,20 @@ mod tests {
     }
 
     #[test]
-    fn with_a_broker_a_node_accepts_all_that_may_be_bound() {
+    fn with_a_broker_the_plan_has_only_what_nobody_names_and_leaves_banks_for_the_rest() {
         let (cluster, filters) = filters(&EXAMPLE.replace("\"static\"", "\"broker\""));
-        for (node, filters) in cluster.nodes.iter().zip(&filters) {
-            for tag in [0, 1, 2, 4, 16, 18, 19, 1024, 2048, 9_999, 16_383] {
+        for (at, (node, filters)) in cluster.nodes.iter().zip(&filters).enumerate() {
+            assert!(is_named_at_run_time(&cluster, at), "{}", node.name);
+            assert!(filters.len() <= BANKS / 2, "{}", node.name);
+            for tag in [0, 1, 2, 4, 16, 18, 19] {
                 assert!(accepts(filters, 200, 99, tag), "{} {tag}", node.name);
             }
-            assert!(!accepts(filters, 0, 99, 101), "{}", node.name);
+            for tag in [101, 1024, 2048, 9_999, 16_383] {
+                assert!(!accepts(filters, 200, 99, tag), "{} {tag}", node.name);
+            }
         }
+        let brake = cluster.nodes.iter().position(|node| node.name == "brake").unwrap();
+        let wheel_speed = cluster.channels[cluster.channel_named("wheel_speed").unwrap()].etag.unwrap();
+        assert!(accepts(&filters[brake], 0, 1, wheel_speed.get()));
     }
 }

@@ -9,6 +9,7 @@ use core::future::poll_fn;
 use core::pin::pin;
 use core::task::Poll;
 
+use cosmic_core::can::filter_banks::Wanted;
 use cosmic_core::can::{ErrorCounters, Frame, Mailbox, Outcome};
 use cosmic_core::time::Instant;
 
@@ -30,6 +31,8 @@ pub trait Board: Sized + 'static {
     type Status: BusStatus;
     /// Tells that the error state has become worse.
     type Changes: BusChanges;
+    /// Takes what the controller is to accept as the node runs: `()` where its filters cannot change then.
+    type Filters: Filters;
 
     /// Local time: free-running, never stepped. Called from every priority up to that of the calendar task.
     fn now() -> Instant;
@@ -70,6 +73,8 @@ pub struct BoardParts<B: Board> {
     pub status: B::Status,
     /// For the status change interrupt.
     pub changes: B::Changes,
+    /// For the event task.
+    pub filters: B::Filters,
 }
 
 /// One transmit mailbox. No method waits.
@@ -109,6 +114,19 @@ pub trait BusStatus {
 pub trait BusChanges {
     /// Acknowledges what has changed, and returns whether the controller has left the bus since the last call.
     fn take_bus_off(&mut self) -> bool;
+}
+
+/// The acceptance filters of the controller, of a node that is [named at run
+/// time](cosmic_core::plan::NodePlan::named_at_run_time).
+pub trait Filters {
+    /// From now on accepts what is wanted, beside what the plan names; perhaps more, never less. A frame that was wanted
+    /// before as it is now is accepted all the while. Does not wait.
+    fn set(&mut self, wanted: impl Iterator<Item = Wanted>);
+}
+
+/// Filters that stay as they are: such a controller must accept all that may be wanted from the start.
+impl Filters for () {
+    fn set(&mut self, _: impl Iterator<Item = Wanted>) {}
 }
 
 /// Resets the node unless it is fed in time.

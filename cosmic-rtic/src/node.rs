@@ -12,10 +12,10 @@ use cosmic_core::event_layer::{
     Policy, Publication, PublishError, SubscribeError, Subscription,
 };
 use cosmic_core::protocol::ResetCause;
-use cosmic_core::services::News;
+use cosmic_core::services::{News, Services};
 use cosmic_core::time::{Duration, GlobalClock, GlobalInstant, Instant};
 
-use crate::board::{Board, BusStatus as _, TxMailbox as _};
+use crate::board::{Board, BusStatus as _, Filters as _, TxMailbox as _};
 use crate::departures::Departures;
 use crate::inbox::{Counted, Item, Wake};
 use crate::observer::{Observer as _, Observes};
@@ -32,6 +32,7 @@ pub struct Node<T: System> {
     pub(crate) soft: <T::Board as Board>::Soft,
     pub(crate) non_real_time: <T::Board as Board>::NonRealTime,
     pub(crate) status: <T::Board as Board>::Status,
+    pub(crate) filters: <T::Board as Board>::Filters,
     pub(crate) errors: ErrorCounters,
     /// Wakes the event task.
     pub(crate) wake: &'static Wake,
@@ -264,11 +265,15 @@ impl<T: System> Node<T> {
         next
     }
 
-    /// The interrupts let through what concerns the node now.
+    /// Controller and interrupts let through what concerns the node now.
     #[inline(never)]
     fn tell_interest(&mut self) {
         if let Some(interest) = self.half.take_interest() {
             self.sieve.set(&interest);
+            // Where nobody gives names, the filters of the plan stay, and this is not in the image.
+            if <T::Services as Services>::GIVES_TX_NODE {
+                self.filters.set(self.half.wanted());
+            }
         }
     }
 

@@ -1,6 +1,7 @@
 //! What the interrupts of the receive FIFOs tell apart without the node: frames that concern nobody here.
 //!
-//! On a bus most frames are for others, and the acceptance filters of the controller cannot tell them all. To hand one to
+//! On a bus most frames are for others, and the acceptance filters of the controller may not tell them all: etags share a
+//! bank where there are too few, a plan may need a mask that is wide, and not every board has filters. To hand one to
 //! the event task would cost ten times as much as to receive it.
 
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};

@@ -106,7 +106,7 @@ pub fn start_with<T: System>(
     Hard::new(hard).with(|buffers| T::Capacity::set_clock(buffers, services.clock()));
     let tx_node = services.tx_node(plan);
     let ends = T::Capacity::split(queues);
-    let BoardParts { hard: mailbox, soft, non_real_time, outcomes, urgent, other, status, changes } =
+    let BoardParts { hard: mailbox, soft, non_real_time, outcomes, urgent, other, status, changes, filters } =
         board.split();
     Parts {
         calendar: Calendar {
@@ -131,6 +131,7 @@ pub fn start_with<T: System>(
             soft,
             non_real_time,
             status,
+            filters,
             errors: ErrorCounters::NONE,
             wake: ends.wake,
             wake_calendar: ends.wake_calendar,

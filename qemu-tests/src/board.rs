@@ -105,6 +105,7 @@ impl Board for Machine {
     type Other = Receive<1>;
     type Status = Self;
     type Changes = Self;
+    type Filters = ();
 
     fn now() -> Instant {
         mono::now()
@@ -128,6 +129,7 @@ impl Board for Machine {
             other: Receive,
             status: Self,
             changes: Self,
+            filters: (),
         }
     }
 }

@@ -39,6 +39,12 @@ pub struct Wanted {
 }
 
 impl Wanted {
+    /// Everything.
+    pub const ALL: Self = Self { fifo: Fifo::Other, id: 0, mask: 0 };
+
+    /// The frames of all etags that a broker gives: from [`Etag::BOUND_FIRST`] up, one of the four highest bits is set.
+    pub const BOUND: [Self; 4] = [Self::bit(13), Self::bit(12), Self::bit(11), Self::bit(10)];
+
     /// All frames of a channel or protocol message.
     pub const fn etag(fifo: Fifo, etag: Etag) -> Self {
         Self::masked(fifo, Id::new(Priority::HARD, TxNode::MIN, etag), ETAG_BITS)
@@ -47,6 +53,11 @@ impl Wanted {
     /// The frames of a hard real-time slot.
     pub const fn hard(etag: Etag, publisher: TxNode) -> Self {
         Self::masked(Fifo::Urgent, Id::new(Priority::HARD, publisher, etag), ID_BITS)
+    }
+
+    /// All frames of a node.
+    pub const fn tx_node(fifo: Fifo, tx_node: TxNode) -> Self {
+        Self::masked(fifo, Id::new(Priority::HARD, tx_node, Etag::SYNC), TX_NODE_BITS)
     }
 
     /// The identifiers that agree with `id` in the bits that are set in `mask`. Of the mask, the low 29
@@ -58,6 +69,17 @@ impl Wanted {
     /// Returns whether this identifier is among them.
     pub const fn contains(&self, id: Id) -> bool {
         (id.raw() ^ self.id) & self.mask == 0
+    }
+
+    /// Where this bit is set.
+    const fn bit(bit: u32) -> Self {
+        Self { fifo: Fifo::Other, id: 1 << bit, mask: 1 << bit }
+    }
+
+    /// The bank that accepts these and no others.
+    pub const fn bank(&self) -> FilterBank {
+        let Self { fifo, id, mask } = *self;
+        FilterBank::Mask { fifo, id, mask }
     }
 
     /// Returns whether all identifiers of `other` are among them.
@@ -394,6 +416,7 @@ impl<const WANTED: usize> Partition<WANTED> {
 
 const ETAG_BITS: u32 = Etag::BOUND_LAST.get() as u32;
 const ID_BITS: u32 = (1 << 29) - 1;
+const TX_NODE_BITS: u32 = Id::new(Priority::HARD, TxNode::BROKER, Etag::SYNC).raw() & !ETAG_BITS;
 
 /// Improvements by moving single wishes settle within a few passes.
 const PASSES: usize = 8;

@@ -2,6 +2,7 @@
 
 use super::{Due, EventHalf, HardAccess, Input, Interest, Step, outcome, receive};
 use crate::calendar::Calendar;
+use crate::can::filter_banks::Wanted;
 use crate::can::{Frame, Mailbox, Outcome, Payload, TxNode};
 use crate::event_layer::{
     AnnounceError, Channel, ChannelCounters, Content, Delivered, Event, Exception, ExceptionKind, Filter,
@@ -328,6 +329,9 @@ pub trait Half {
     /// As [`EventHalf::take_interest`].
     fn take_interest(&mut self) -> Option<Interest>;
 
+    /// As [`EventHalf::wanted`].
+    fn wanted(&self) -> impl Iterator<Item = Wanted>;
+
     /// As [`EventHalf::foreign_frames`].
     fn foreign_frames(&self) -> u32;
 
@@ -456,6 +460,10 @@ impl<
 
     fn take_interest(&mut self) -> Option<Interest> {
         Self::take_interest(self)
+    }
+
+    fn wanted(&self) -> impl Iterator<Item = Wanted> {
+        Self::wanted(self)
     }
 
     fn foreign_frames(&self) -> u32 {

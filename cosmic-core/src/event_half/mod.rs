@@ -32,6 +32,7 @@ pub use input::{Input, outcome, receive};
 pub use interest::Interest;
 
 use crate::calendar::Calendar;
+use crate::can::filter_banks::{Fifo, Wanted};
 use crate::can::{Command, ErrorCounters, TxNode};
 use crate::event_layer::{Accepted, ChannelCounters, EventLayer, Exception, ExceptionKind, Exceptions};
 use crate::network::hard::{Counters, HrtBuffers, Role};
@@ -241,6 +242,16 @@ impl<
         }
         // A broker looks at the traffic of all.
         Some(if S::WATCHES_EVENTS { Interest::ALL } else { Interest::of(self.own.get(), self.layer.etags()) })
+    }
+
+    /// What a controller whose filters change as it runs is to accept now, beside what is known before: the frames with
+    /// this node's TxNode, and of the channels that it subscribes to. Ask again when the
+    /// [interest](Self::take_interest) has changed.
+    pub fn wanted(&self) -> impl Iterator<Item = Wanted> {
+        let of_all = if S::WATCHES_EVENTS { Wanted::BOUND.as_slice() } else { &[] };
+        let own = self.own.get().map(|tx_node| Wanted::tx_node(Fifo::Other, tx_node));
+        let etags = self.layer.etags().map(|etag| Wanted::etag(Fifo::Other, etag));
+        of_all.iter().copied().chain(own).chain(etags)
     }
 
     /// How many received frames concerned nobody here. Wraps.

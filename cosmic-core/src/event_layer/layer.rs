@@ -35,7 +35,7 @@ pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const E
     pub(super) channels: [Option<Entry>; CHANNELS],
     /// No event is overdue before this instant.
     pub(super) first_overdue: Instant,
-    /// Other etags mean something here since this was asked last, or the node has another TxNode.
+    /// Other etags may concern somebody here since this was asked last, or the node has another TxNode.
     renamed: bool,
 }
 
@@ -62,7 +62,6 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 
     /// The node has been given its TxNode, or lost it.
     pub fn set_tx_node(&mut self, tx_node: Option<TxNode>) {
-        self.renamed |= self.tx_node != tx_node;
         self.tx_node = tx_node;
         for at in 0..CHANNELS {
             self.update(at as u8);
@@ -173,14 +172,16 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         last
     }
 
-    /// Returns whether other etags mean something here since the last call, or the node has another TxNode.
+    /// Returns whether other etags may concern somebody here since the last call, or the node has another TxNode.
     pub(crate) fn take_renamed(&mut self) -> bool {
         core::mem::take(&mut self.renamed)
     }
 
-    /// The etags that mean something here.
+    /// The etags whose frames somebody here subscribes to. Those of hard real-time channels are none: what they carry
+    /// comes out of HRT message buffers.
     pub(crate) fn etags(&self) -> impl Iterator<Item = Etag> {
-        self.channels.iter().flatten().filter_map(|entry| entry.etag)
+        let subscribed = self.channels.iter().flatten().filter(|entry| entry.first_subscription != NONE);
+        subscribed.filter_map(|entry| entry.etag).filter(|etag| !etag.is_hard())
     }
 
     /// Where events with this etag go, if that is anywhere here. One map look-up.
@@ -327,7 +328,6 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if let Some(former) = former {
             self.by_etag.remove(key(former));
         }
-        self.renamed = true;
         self.update(at as u8);
     }
 
@@ -453,7 +453,6 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if let Some(former) = former {
             self.by_etag.remove(key(former));
         }
-        self.renamed = true;
         let route = Route { tag: Tag(at), only: NONE };
         self.by_etag.insert(key(etag), route.encode()).map_err(|_| AnnounceError::TooManyChannels)?;
         if let Some(entry) = self.entry_mut(at) {
@@ -465,6 +464,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 
     /// Something has changed that decides where frames of a channel go, or what they are called.
     pub(super) fn update(&mut self, at: u8) {
+        self.renamed = true;
         let Some(Some(entry)) = self.channels.get_mut(usize::from(at)) else { return };
         let outlet = match (self.tx_node, entry.etag) {
             (Some(tx_node), Some(etag)) if entry.announcements > 0 && entry.gate != Gate::Closed => {
@@ -497,7 +497,6 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         }
         if let Some(etag) = etag {
             self.by_etag.remove(key(etag));
-            self.renamed = true;
         }
     }
 }

@@ -7,6 +7,7 @@ use std::task::{Context, Poll, Waker};
 
 use cosmic_core::Subject;
 use cosmic_core::calendar::{Calendar, Segment, Slot};
+use cosmic_core::can::filter_banks::Wanted;
 use cosmic_core::can::{
     BitRate, ErrorCounters, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode,
 };
@@ -16,7 +17,7 @@ use cosmic_core::event_layer::{
 use cosmic_core::plan::NodePlan;
 use cosmic_core::time::{Duration, Instant};
 use cosmic_core::uid::NodeUid;
-use cosmic_rtic::board::{BoardParts, BusChanges, BusStatus, RxFifo, TxMailbox, TxOutcomes};
+use cosmic_rtic::board::{BoardParts, BusChanges, BusStatus, Filters, RxFifo, TxMailbox, TxOutcomes};
 use cosmic_rtic::{Board, Node, Observer, Observes, Parts, Storage, System, start_observed};
 use rtic_core::Mutex;
 
@@ -28,6 +29,7 @@ thread_local! {
     pub(crate) static LOSSES: Cell<u32> = const { Cell::new(0) };
     pub(crate) static TURNS: Cell<u32> = const { Cell::new(0) };
     pub(crate) static IS_OFF: Cell<bool> = const { Cell::new(false) };
+    pub(crate) static WANTED: RefCell<Option<Vec<Wanted>>> = const { RefCell::new(None) };
 }
 
 /// Memory of this thread in place of hardware.
@@ -73,6 +75,12 @@ impl BusChanges for Bench {
     }
 }
 
+impl Filters for Bench {
+    fn set(&mut self, wanted: impl Iterator<Item = Wanted>) {
+        WANTED.set(Some(wanted.collect()));
+    }
+}
+
 impl Board for Bench {
     type Hard = MailboxOf<0>;
     type Soft = MailboxOf<1>;
@@ -82,6 +90,7 @@ impl Board for Bench {
     type Other = Self;
     type Status = Self;
     type Changes = Self;
+    type Filters = Self;
 
     fn now() -> Instant {
         Instant::from_epoch(Duration::from_ticks(NOW.get()))
@@ -101,6 +110,7 @@ impl Board for Bench {
             other: Self,
             status: Self,
             changes: Self,
+            filters: Self,
         }
     }
 }
@@ -185,6 +195,7 @@ pub(crate) const PLAN: NodePlan = NodePlan {
     tx_node: Some(OWN),
     sync: None,
     filters: &[],
+    named_at_run_time: false,
     calendar: &CALENDAR,
     seal: None,
     admission: None,
@@ -199,10 +210,10 @@ pub(crate) const HEAT: Channel<u16> = Channel::soft(
 pub(crate) const QUEUE: Policy = Policy::Fifo(Depth::new(4).unwrap());
 
 /// A resource of RTIC's, on one thread.
-pub(crate) struct Resource<'a>(pub(crate) &'a RefCell<Node<Tested>>);
+pub(crate) struct Resource<'a, T: System = Tested>(pub(crate) &'a RefCell<Node<T>>);
 
-impl Mutex for Resource<'_> {
-    type T = Node<Tested>;
+impl<T: System> Mutex for Resource<'_, T> {
+    type T = Node<T>;
 
     fn lock<R>(&mut self, work: impl FnOnce(&mut Self::T) -> R) -> R {
         work(&mut self.0.borrow_mut())
@@ -215,7 +226,7 @@ pub(crate) fn parts() -> Parts<Tested> {
 }
 
 /// Lets the event task run until it waits.
-pub(crate) fn run_events(events: &mut cosmic_rtic::Events, node: &RefCell<Node<Tested>>) {
+pub(crate) fn run_events<T: System>(events: &mut cosmic_rtic::Events, node: &RefCell<Node<T>>) {
     let mut task = pin!(events.run(Resource(node)));
     let _ = task.as_mut().poll(&mut Context::from_waker(Waker::noop()));
 }

@@ -1,6 +1,7 @@
 //! A node on a board that is only values: what the parts of the runtime hand to each other.
 
 mod bench;
+mod filters;
 mod loops;
 mod messages;
 mod readme;

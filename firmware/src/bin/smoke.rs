@@ -42,7 +42,7 @@ mod app {
     #[init]
     fn init(context: init::Context) -> (Shared, Local) {
         firmware::records::start(5);
-        let settings = Settings { bit_rate: BitRate::MAX, filters: FILTERS.iter() };
+        let settings = Settings { bit_rate: BitRate::MAX, filters: FILTERS.iter(), leaves_spare: false };
         let Ok(board) = Board::new(boards::resources!(context.device), settings, 5) else {
             defmt::panic!("the settings ask for what the board cannot do");
         };

@@ -6,6 +6,7 @@
 //! | `deputy` | stands by for both |
 //! | `worker` | publishes in each slot of the calendar |
 //! | `guest` | asks for its id; publishes softly every 10 ms |
+//! | `hearer` | asks for its id; subscribes to that for 0.4 s, cancels it for 0.4 s, and so on |
 //!
 //! Each obeys the [first byte](Misdeed::of_this_part) of its part's unique identifier, which the emulator sets: some time
 //! after its start it hangs in one of several ways. After a reset by the watchdog it does not.
@@ -133,6 +134,29 @@ pub async fn count<W: Wiring>(misdeed: Misdeed, mut node: impl Mutex<T = Node<Tr
     }
 }
 
+/// The application of the hearer.
+pub async fn hear<W: Wiring>(_: Misdeed, mut node: impl Mutex<T = Node<Trial<(), W>>>) {
+    let mut ticker = Ticker::<Stm32F4<W>>::every(TURN);
+    loop {
+        let counts = Subscriber::subscribe(&count::channel::<Number>(), QUEUE, &mut node).expect(PLANNED);
+        defmt::info!("hears");
+        let mut heard = 0_u32;
+        for _ in 0..HEARS_FOR {
+            ticker.tick().await;
+            PROGRESS.made::<0>();
+            while counts.try_next(&mut node).is_some() {
+                heard += 1;
+            }
+        }
+        counts.cancel(&mut node);
+        defmt::info!("has heard {}", heard);
+        for _ in 0..HEARS_FOR {
+            ticker.tick().await;
+            PROGRESS.made::<0>();
+        }
+    }
+}
+
 /// The application of the master and the deputy: says what has come.
 pub async fn watch<B: PlannedHost + 'static, W: Wiring>(
     misdeed: Misdeed,
@@ -167,6 +191,8 @@ const PERIOD: Duration = Duration::from_millis(20);
 const PATIENCE: Patience = Patience::at_least(Duration::from_millis(100)).unwrap();
 /// Of an application.
 const TURN: Duration = Duration::from_millis(10);
+/// Turns of the hearer.
+const HEARS_FOR: u32 = 40;
 /// Turns of the application.
 const MISDEED_AFTER: u32 = 120;
 /// Before a slot.

@@ -86,6 +86,7 @@ mod app {
         tx_node: Some(NODE),
         sync: None,
         filters: &[],
+        named_at_run_time: false,
         calendar: &CALENDAR,
         seal: None,
         admission: None,

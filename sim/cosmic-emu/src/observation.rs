@@ -107,8 +107,8 @@ pub enum ObservationKind {
         /// Whether it began.
         begins: bool,
     },
-    /// The firmware accessed a register that is not modelled, or a setting that is not. The access read 0,
-    /// or had no effect. Reported once for each place in the program.
+    /// The firmware accessed a register that is not modelled, or a setting that is not, or wrote to an acceptance filter that
+    /// was in use. The access read 0, or had no effect. Reported once for each place in the program.
     NotModelled {
         /// Read or write.
         access: AccessKind,
@@ -187,7 +187,10 @@ impl core::fmt::Display for ObservationKind {
                 write!(f, "handler of exception {exception} {}", if *begins { "begins" } else { "ends" })
             }
             Self::NotModelled { access, address, place } => {
-                write!(f, "{access} of {address:#010x} at {place} is not modelled by the emulator")
+                write!(
+                    f,
+                    "{access} of {address:#010x} at {place} is not modelled by the emulator, or not allowed now"
+                )
             }
             Self::NotClocked { access, address, place } => write!(
                 f,

@@ -174,7 +174,7 @@ impl Trial {
 /// What stands around the chip on the board that an image is built for.
 pub fn on_board(config: &mut NodeConfig) {
     match config.name.as_str() {
-        "worker_nucleo" => config.can = CanController::Can2,
+        "worker_nucleo" | "hearer" => config.can = CanController::Can2,
         "guest_feather" => config.crystal = HertzU32::MHz(12),
         _ => {}
     }

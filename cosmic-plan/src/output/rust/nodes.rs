@@ -1,7 +1,8 @@
 //! The nodes: who each is, what it takes part in, and the filters of its controller.
 
 use super::{CORE, SYNC_CONFIG, subject};
-use crate::cluster::{Cluster, Node};
+use crate::cluster::Cluster;
+use crate::node_filters::is_named_at_run_time;
 use cosmic_core::can::Id;
 use cosmic_core::can::filter_banks::{Fifo, FilterBank};
 use std::fmt::Write as _;
@@ -9,8 +10,8 @@ use std::fmt::Write as _;
 pub(super) fn write(out: &mut String, cluster: &Cluster, filters: &[Vec<FilterBank>]) -> std::fmt::Result {
     writeln!(out, "/// The nodes, one module each.")?;
     writeln!(out, "pub mod nodes {{")?;
-    for (node, filters) in cluster.nodes.iter().zip(filters) {
-        write_node(out, cluster, node, filters)?;
+    for (at, filters) in filters.iter().enumerate() {
+        write_node(out, cluster, at, filters)?;
     }
     writeln!(out, "}}\n")?;
     writeln!(out, "/// All nodes, in the order of the description.")?;
@@ -21,7 +22,8 @@ pub(super) fn write(out: &mut String, cluster: &Cluster, filters: &[Vec<FilterBa
     writeln!(out, "];")
 }
 
-fn write_node(out: &mut String, cluster: &Cluster, node: &Node, filters: &[FilterBank]) -> std::fmt::Result {
+fn write_node(out: &mut String, cluster: &Cluster, at: usize, filters: &[FilterBank]) -> std::fmt::Result {
+    let node = &cluster.nodes[at];
     writeln!(out, "    /// Node `{}`.", node.name)?;
     writeln!(out, "    pub mod {} {{", node.name)?;
     let mut constant = |doc: &str, name: &str, of: &str, value: &str| {
@@ -53,7 +55,8 @@ fn write_node(out: &mut String, cluster: &Cluster, node: &Node, filters: &[Filte
     let admission = if cluster.unplanned.is_some() { "Some(&super::super::ADMISSION)" } else { "None" };
     let fields = format!(
         "name: NAME, uid: UID, tx_node: TX_NODE, sync: {sync}, filters: &FILTERS, \
-         calendar: &super::super::CALENDAR, seal: {seal}, admission: {admission}, publishes: PUBLISHES, subscribes: SUBSCRIBES"
+         named_at_run_time: {}, calendar: &super::super::CALENDAR, seal: {seal}, admission: {admission}, publishes: PUBLISHES, subscribes: SUBSCRIBES",
+        is_named_at_run_time(cluster, at)
     );
     let of = "::cosmic_core::plan::NodePlan";
     constant("All of it that a runtime wants to know.", "NODE", of, &format!("{of} {{ {fields} }}"))?;

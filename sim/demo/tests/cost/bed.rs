@@ -102,8 +102,8 @@ pub(crate) fn suspension() -> Id {
     Id::new(Priority::LEAST, channel.publisher, channel.etag)
 }
 
-/// An identifier of nobody in any plan. Its etag is one that brokers give, so that the filters of nodes that ask one for
-/// their etags let it pass.
+/// An identifier of nobody in any plan. Its etag is one that brokers give, so that nodes that ask one for their etags know
+/// only as they run that it is not theirs.
 pub(crate) const FOREIGN: Id =
     Id::new(Priority::LEAST, TxNode::new(100).unwrap(), Etag::new(0x2A5A).unwrap());
 

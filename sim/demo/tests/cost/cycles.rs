@@ -14,7 +14,8 @@ fn cost(images: Images, nodes: &[&'static str], looked_at: &str, id: Id) -> u64 
     let without = Bed::new(images, nodes, looked_at, None).second();
     let with = Bed::new(images, nodes, looked_at, Some(id)).second();
     assert!(with.frames > 5_000 && without.frames == 0);
-    (with.awake - without.awake) / with.frames
+    // What a node does by itself falls into other instants on a full bus, and may take a little less.
+    with.awake.saturating_sub(without.awake) / with.frames
 }
 
 /// What a node does in all in ten milliseconds, which is the cycle of its calendar.
@@ -107,8 +108,9 @@ fn paths_stay_within_their_limits() {
     let of_full = release(SMALL, &small, "full");
     // What, how much, the limit, the goal if there is one.
     let measured = [
-        ("foreign frame, full, in all", cost(SMALL, &small, "full", FOREIGN), 285, Some(400)),
-        ("foreign frame, ups, in all", cost(SMALL, &small, "ups", FOREIGN), 220, Some(400)),
+        // Nothing of it is for the frame: on a full bus its own frames leave one by one.
+        ("foreign frame, full, in all", cost(SMALL, &small, "full", FOREIGN), 60, Some(400)),
+        ("foreign frame, ups, in all", cost(SMALL, &small, "ups", FOREIGN), 0, Some(400)),
         ("frame to its application, listener", delivery.median(), 1_230, Some(900)),
         ("the same at worst", delivery.longest(), 4_600, None),
         ("the same in all", cost(VEHICLE, &LISTENERS, "listener", suspension()), 1_430, None),

@@ -55,7 +55,8 @@ impl FilterBanks {
     }
 
     /// Writes a register. Modes, scales and assignments change in initialisation mode only; a bank's
-    /// registers then or while it is inactive. `None` if there is no such register.
+    /// registers then or while it is inactive. `None` if there is no such register, or it must not be written now: then
+    /// it stays as it is.
     pub(super) fn write(&mut self, offset: u32, value: u32) -> Option<()> {
         let initialising = self.fmr & FMR_FINIT != 0;
         match offset {
@@ -63,13 +64,14 @@ impl FilterBanks {
             0x204 if initialising => self.list = value,
             0x20C if initialising => self.wide = value,
             0x214 if initialising => self.fifo = value,
-            0x204 | 0x20C | 0x214 => {}
+            0x204 | 0x20C | 0x214 => return None,
             0x21C => self.active = value & ((1 << BANKS) - 1),
             _ => {
                 let bank = bank_at(offset)?;
-                if initialising || self.active >> bank & 1 == 0 {
-                    self.banks[bank][offset as usize / 4 % 2] = value;
+                if !initialising && self.active >> bank & 1 != 0 {
+                    return None;
                 }
+                self.banks[bank][offset as usize / 4 % 2] = value;
             }
         }
         Some(())
@@ -205,9 +207,46 @@ mod tests {
         assert_eq!(banks.accept(CanController::Can1, &standard(1)), None);
         banks.write(0x200, 0x0E00).unwrap();
         assert!(banks.accept(CanController::Can1, &standard(1)).is_some());
-        // Outside of initialisation neither mode nor active banks change.
-        banks.write(0x20C, 0).unwrap();
-        banks.write(0x244, u32::MAX).unwrap();
-        assert_eq!((banks.read(0x20C), banks.read(0x244)), (Some(1), Some(0)));
+        // It stops reception at any time.
+        banks.write(0x200, 0x0E01).unwrap();
+        assert_eq!(banks.accept(CanController::Can1, &standard(1)), None);
+    }
+
+    /// RM0090, 32.9.4: FM1R, FS1R and FFA1R "can be written only when the filter initialization mode is set"; FiRx "can
+    /// only be modified when the FACTx bit [...] is cleared or when the FINIT bit [...] is set".
+    #[test]
+    fn what_must_not_be_written_is_refused_and_stays() {
+        let mut banks = banks(&[(0x20C, 1), (0x21C, 1)]);
+        for offset in [0x204, 0x20C, 0x214, 0x240, 0x244] {
+            let before = banks.read(offset);
+            assert_eq!(banks.write(offset, u32::MAX), None, "{offset:#x}");
+            assert_eq!(banks.read(offset), before, "{offset:#x}");
+        }
+        // Another bank is not active, and while filters are initialised, all may be.
+        banks.write(0x248, 5).unwrap();
+        banks.write(0x200, 0x0E01).unwrap();
+        for offset in [0x204, 0x20C, 0x214, 0x240, 0x244] {
+            banks.write(offset, 7).unwrap();
+            assert_eq!(banks.read(offset), Some(7), "{offset:#x}");
+        }
+    }
+
+    #[test]
+    fn banks_are_switched_while_frames_come() {
+        let list_of = |id: u32| [id << 3 | 1 << 2; 2];
+        let [a, b] = [(5, 0), (6, 1)].map(|(id, bank)| (extended(id), list_of(id), bank));
+        let mut banks = banks(&[(0x20C, 3), (0x204, 3)]);
+        let accepts = |banks: &FilterBanks| {
+            [&a.0, &b.0].map(|frame| banks.accept(CanController::Can1, frame).is_some())
+        };
+        assert_eq!(accepts(&banks), [false, false]);
+        for (_, [first, second], bank) in [&a, &b] {
+            banks.write(0x240 + 8 * bank, *first).unwrap();
+            banks.write(0x244 + 8 * bank, *second).unwrap();
+        }
+        for (active, both) in [(1, [true, false]), (3, [true, true]), (2, [false, true]), (0, [false; 2])] {
+            banks.write(0x21C, active).unwrap();
+            assert_eq!(accepts(&banks), both, "{active}");
+        }
     }
 }
