@@ -35,8 +35,8 @@ pub fn now() -> Instant {
 
 /// Waits until local time has reached `instant`; returns at once if it has.
 #[inline]
-pub async fn delay_until(instant: Instant) {
-    until(instant, pending()).await;
+pub fn delay_until(instant: Instant) -> impl Future<Output = ()> {
+    until(instant, pending())
 }
 
 /// Waits until local time has reached `instant` or `other` has ended.

@@ -5,7 +5,7 @@ use cosmic_core::calendar::{Calendar, Segment};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::event_half::{Due, EventHalf, Input, Step, receive};
 use cosmic_core::event_layer::{
-    AnnounceError, Channel, ChannelCounters, Event, EventRate, ExceptionKind, Filter, Importance,
+    AnnounceError, Channel, ChannelCounters, Depth, Event, EventRate, ExceptionKind, Filter, Importance,
     MessagePublisher, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
 };
 use cosmic_core::network::hard::HrtBuffers;
@@ -82,10 +82,11 @@ fn poll(half: &mut Half, now: Instant) -> Instant {
     }
 }
 
-fn arrive(half: &mut Half, now: Instant) {
+/// Returns whether something may be due earlier.
+fn arrive(half: &mut Half, now: Instant) -> bool {
     let frame = Frame::new(Id::new(Priority::new(9), OTHER, ETAG), Payload::new(&[0, 7]).unwrap());
     let input = receive(&frame, now, half.hard_mut()).unwrap();
-    half.on_input(&input, now);
+    half.on_input(&input, now)
 }
 
 #[test]
@@ -182,16 +183,23 @@ fn a_message_counts_once_however_many_frames_it_has() {
 
 #[test]
 fn a_subscriber_is_told_of_each_periodic_event_that_does_not_come() {
+    // By the long way and by the short one.
+    for policy in [Policy::Latest, Policy::Fifo(Depth::new(8).unwrap())] {
+        each_event_that_does_not_come_is_told(policy);
+    }
+}
+
+fn each_event_that_does_not_come_is_told(policy: Policy) {
     let mut half = node();
-    let subscription = half.subscribe(&PERIODIC, Filter::ALL, Policy::Latest).unwrap();
+    let subscription = half.subscribe(&PERIODIC, Filter::ALL, policy).unwrap();
     // Nothing has come yet: nothing is awaited.
     assert_eq!(poll(&mut half, at(1_000_000)), Instant::FAR_FUTURE);
-    arrive(&mut half, at(1_000_000));
+    assert!(arrive(&mut half, at(1_000_000)), "the next is awaited");
     // Period, jitter, deadline, and a 4096th of the period.
     let overdue = at(1_016_000) + Duration::from_ticks(2441);
     assert_eq!(poll(&mut half, at(1_000_000)), overdue);
     // The next is as late as it may be.
-    arrive(&mut half, at(1_016_002));
+    assert!(!arrive(&mut half, at(1_016_002)), "nothing is awaited earlier");
     let overdue = at(1_032_002) + Duration::from_ticks(2441);
     assert_eq!(poll(&mut half, at(1_016_003)), overdue);
     assert_eq!(half.exceptions(ExceptionKind::EventOverdue), 0);
@@ -212,6 +220,22 @@ fn a_subscriber_is_told_of_each_periodic_event_that_does_not_come() {
     half.cancel_subscription(subscription);
     assert_eq!(poll(&mut half, at(2_000_000)), Instant::FAR_FUTURE);
     assert_eq!(half.exceptions(ExceptionKind::EventOverdue), 2);
+}
+
+#[test]
+fn an_event_that_was_received_before_it_was_missed_brings_the_next_forward() {
+    for policy in [Policy::Latest, Policy::Fifo(Depth::new(8).unwrap())] {
+        let mut half = node();
+        half.subscribe(&PERIODIC, Filter::ALL, policy).unwrap();
+        arrive(&mut half, at(0));
+        arrive(&mut half, at(10_000));
+        let overdue = at(26_000) + Duration::from_ticks(2441);
+        assert_eq!(poll(&mut half, overdue), overdue + Duration::from_millis(10));
+        assert_eq!(half.exceptions(ExceptionKind::EventOverdue), 1);
+        // It had waited in a queue.
+        assert!(arrive(&mut half, at(19_000)), "the next is awaited from then on");
+        assert_eq!(poll(&mut half, overdue), at(35_000) + Duration::from_ticks(2441));
+    }
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! How interrupts and the calendar task hand over to the event-triggered half: one queue without locks
-//! for each, and a signal that wakes it.
+//! for each, and a signal that wakes it and says which of them has something.
 
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicU32, Ordering};
+use core::task::{Poll, Waker};
 
 use cosmic_core::event_half::{Capacity, Input, Sizes};
 use cosmic_core::time::Instant;
@@ -64,22 +65,20 @@ pub struct Queues<const FRAMES: usize, const OUTCOMES: usize, const NOTICES: usi
 /// Frames of the urgent FIFO that wait: those of the clock. Hard real-time frames go into their buffers.
 const URGENT: usize = 4;
 
-/// Wakes the event task.
+/// Wakes the event task. The bits are the numbers of the queues in the inbox, and [`DUE`].
 pub(crate) struct Wake {
     signal: Signal,
-    due: AtomicBool,
 }
 
 impl Wake {
     const fn new() -> Self {
-        Self { signal: Signal::new(), due: AtomicBool::new(false) }
+        Self { signal: Signal::new() }
     }
 
     /// Something may be due, or earlier than was said.
-    #[inline]
+    #[inline(never)]
     pub(crate) fn something_due(&self) {
-        self.due.store(true, Ordering::Relaxed);
-        self.signal.raise();
+        self.signal.raise(DUE);
     }
 }
 
@@ -105,6 +104,8 @@ pub(crate) struct Counted {
 /// The end of a queue that one interrupt or task writes.
 pub(crate) struct Sender {
     queue: Producer<Item>,
+    /// The bit of the queue.
+    bit: u32,
     counts: &'static Counts,
 }
 
@@ -115,10 +116,9 @@ pub(crate) struct BusOffSender {
 
 /// All that the event-triggered half receives.
 pub(crate) struct Inbox {
-    frames: Consumer<Item>,
-    urgent: Consumer<Item>,
-    outcomes: Consumer<Item>,
-    notices: Consumer<Item>,
+    /// In the order in which they are looked at: outcomes first, since a mailbox is idle until its outcome is known; frames
+    /// last.
+    queues: [Consumer<Item>; 4],
     counts: &'static Counts,
 }
 
@@ -159,14 +159,14 @@ impl<const FRAMES: usize, const OUTCOMES: usize, const NOTICES: usize> Queues<FR
         let (outcomes_in, outcomes) = self.outcomes.split();
         let (notices_in, notices) = self.notices.split();
         let (counts, wake_calendar) = (&self.counts, &self.wake_calendar);
-        let sender = |queue| Sender { queue, counts };
+        let sender = |queue, number: u32| Sender { queue, bit: 1 << number, counts };
         Ends {
-            frames: sender(frames_in),
-            urgent: sender(urgent_in),
-            outcomes: sender(outcomes_in),
-            notices: sender(notices_in),
+            outcomes: sender(outcomes_in, 0),
+            notices: sender(notices_in, 1),
+            urgent: sender(urgent_in, 2),
+            frames: sender(frames_in, 3),
             bus_off: BusOffSender { counts },
-            inbox: Inbox { frames, urgent, outcomes, notices, counts },
+            inbox: Inbox { queues: [outcomes, notices, urgent, frames], counts },
             wake: &counts.wake,
             wake_calendar,
         }
@@ -177,11 +177,12 @@ impl Sender {
     /// Hands something over and wakes the receiver. When the queue is full it is lost, and counted.
     #[inline]
     pub(crate) fn send(&mut self, input: Input, at: Instant) {
+        let mut bits = self.bit;
         if !self.queue.put(Item { input, at }) {
             self.counts.lost.fetch_add(1, Ordering::Relaxed);
-            self.counts.wake.something_due();
+            bits |= DUE;
         }
-        self.counts.wake.signal.raise();
+        self.counts.wake.signal.raise(bits);
     }
 
     /// Counts overruns of the FIFO that this is of.
@@ -206,26 +207,31 @@ impl BusOffSender {
 }
 
 impl Inbox {
-    /// Hands on the next thing, if there is one: outcomes first, since a mailbox is idle until its outcome is known; frames
-    /// last.
+    /// Takes what was raised since the last call: for [`take_all`](Self::take_all). If that is nothing, what is raised next
+    /// wakes the task.
     #[inline]
-    pub(crate) fn take<R>(&mut self, look: impl FnOnce(&Item) -> R) -> Option<R> {
-        let Self { frames, urgent, outcomes, notices, .. } = self;
-        // Which one is found first, so that what is done with it stands in the program once.
-        [outcomes, notices, urgent, frames].into_iter().find(|queue| queue.has_item())?.take(look)
+    pub(crate) fn poll(&self, waker: &Waker) -> Poll<u32> {
+        self.counts.wake.signal.poll(waker)
     }
 
-    /// Waits until something may have arrived.
-    pub(crate) fn wait(&mut self) -> impl Future<Output = ()> {
-        self.counts.wake.signal.wait()
-    }
-
-    /// Returns whether something may be due, or earlier than was said, since the last call.
+    /// Hands on all that has arrived, one after the other. Returns whether something may be due, or earlier than was said:
+    /// it was raised, or `look` says so.
     #[inline]
-    pub(crate) fn take_due(&mut self) -> bool {
-        // What comes between the two stays, and has woken again.
-        let due = &self.counts.wake.due;
-        due.load(Ordering::Relaxed) && due.swap(false, Ordering::Relaxed)
+    pub(crate) fn take_all(&mut self, mut raised: u32, mut look: impl FnMut(&Item) -> bool) -> bool {
+        let mut is_due = false;
+        // Ends: a turn hands on an item or clears a bit, and none is raised without an item.
+        loop {
+            let number = raised.trailing_zeros();
+            let Some(queue) = self.queues.get_mut(number as usize) else { break };
+            match queue.take(&mut look) {
+                Some(due) => {
+                    is_due |= due;
+                    raised |= self.counts.wake.signal.take();
+                }
+                None => raised &= !(1 << number),
+            }
+        }
+        is_due || raised & DUE != 0
     }
 
     /// What was counted since the last call.
@@ -238,5 +244,60 @@ impl Inbox {
         };
         let Counts { lost, overruns, times_off, .. } = self.counts;
         Counted { lost: take(lost), overruns: take(overruns), times_off: take(times_off) }
+    }
+}
+
+/// Behind the numbers of the queues.
+const DUE: u32 = 1 << 4;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cosmic_core::can::{Mailbox, Outcome};
+    use std::boxed::Box;
+    use std::vec::Vec;
+
+    const NOW: Instant = Instant::EPOCH;
+
+    fn taken(inbox: &mut Inbox, mut meanwhile: impl FnMut()) -> (bool, Vec<Input>) {
+        let mut inputs = Vec::new();
+        let Poll::Ready(raised) = inbox.poll(Waker::noop()) else { return (false, inputs) };
+        let is_due = inbox.take_all(raised, |item| {
+            inputs.push(item.input);
+            meanwhile();
+            false
+        });
+        (is_due, inputs)
+    }
+
+    #[test]
+    fn what_comes_meanwhile_is_taken_in_its_order() {
+        let Ends { mut frames, mut outcomes, mut inbox, wake, .. } =
+            Box::leak(Box::new(Queues::<8, 4, 4>::new())).split();
+        assert_eq!(taken(&mut inbox, || ()), (false, Vec::new()));
+        // The numbers stand for frames.
+        frames.send(Input::Lost(1), NOW);
+        frames.send(Input::Lost(2), NOW);
+        let sent = Input::Outcome(Mailbox::Soft, Outcome::Sent);
+        let mut first = true;
+        let (is_due, inputs) = taken(&mut inbox, || {
+            if core::mem::take(&mut first) {
+                outcomes.send(sent, NOW);
+                wake.something_due();
+            }
+        });
+        assert_eq!(inputs, [Input::Lost(1), sent, Input::Lost(2)]);
+        assert!(is_due, "it was raised meanwhile");
+        frames.send(Input::Lost(3), NOW);
+        assert_eq!(taken(&mut inbox, || ()), (false, [Input::Lost(3)].to_vec()));
+    }
+
+    #[test]
+    fn what_is_lost_is_counted_and_due() {
+        let Ends { mut urgent, mut inbox, .. } = Box::leak(Box::new(Queues::<8, 4, 4>::new())).split();
+        (0..6).for_each(|number| urgent.send(Input::Lost(number), NOW));
+        let (is_due, inputs) = taken(&mut inbox, || ());
+        assert_eq!((is_due, inputs.len()), (true, 4));
+        assert_eq!(inbox.take_counted(), Counted { lost: 2, overruns: 0, times_off: 0 });
     }
 }

@@ -279,7 +279,7 @@ impl<T: System> Node<T> {
 
     /// The calendar task has other slots, and the services more to say.
     pub(crate) fn wake_both(&mut self) {
-        self.wake_calendar.raise();
+        self.wake_calendar.raise(1);
         self.wake.something_due();
     }
 

@@ -1,5 +1,8 @@
 //! What the tasks of every node do. [The crate](crate) says which runs at which priority.
 
+use core::future::poll_fn;
+use core::task::Poll;
+
 use cosmic_core::Capacity as _;
 use cosmic_core::can::{Command, Mailbox};
 use cosmic_core::event_half::{HardAccess as _, Input};
@@ -160,14 +163,14 @@ impl Events {
             let next = node.lock(|node| node.attend(&counted, T::Board::now()));
             // An event that goes to its subscribers changes nothing of what is due, nor when: to ask for that, and to set
             // the timer anew, would cost more than all else that is done for it.
-            let nothing_due = async {
-                loop {
-                    self.inbox.wait().await;
-                    if self.take_in(&mut node) {
-                        break;
+            let nothing_due = poll_fn(|context| {
+                while let Poll::Ready(raised) = self.inbox.poll(context.waker()) {
+                    if self.take_in(raised, &mut node) {
+                        return Poll::Ready(());
                     }
                 }
-            };
+                Poll::Pending
+            });
             // Either will do: the instant has come, or something may be due.
             T::Board::until(next, nothing_due).await;
         }
@@ -175,12 +178,8 @@ impl Events {
 
     /// Takes in what has arrived. Returns whether something may be due now, or earlier than was said.
     #[inline(never)]
-    fn take_in<T: System>(&mut self, node: &mut impl Mutex<T = Node<T>>) -> bool {
-        let mut due = self.inbox.take_due();
+    fn take_in<T: System>(&mut self, raised: u32, node: &mut impl Mutex<T = Node<T>>) -> bool {
         // One lock for each item, so that the application waits for one only.
-        while let Some(is_due) = self.inbox.take(|item| node.lock(|node| node.take_in(item))) {
-            due |= is_due;
-        }
-        due
+        self.inbox.take_all(raised, |item| node.lock(|node| node.take_in(item)))
     }
 }

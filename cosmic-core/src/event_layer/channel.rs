@@ -264,8 +264,9 @@ pub(super) struct Entry {
     pub(super) guard: Guard,
     /// In a sealed cluster: whose events are taken. Not for hard real-time channels, where the calendar says so.
     pub(super) publishers: Option<&'static TxNodes>,
-    /// When the next event of a periodic channel is overdue here, if it does not come.
-    pub(super) overdue_at: Instant,
+    /// From when on the next event of a periodic channel is waited for here: since the last one, but for those that did not
+    /// come. [`Instant::FAR_FUTURE`]: it is not.
+    pub(super) awaited_since: Instant,
     pub(super) announcements: u8,
     pub(super) subscriptions: u8,
     pub(super) first_subscription: u8,
@@ -285,7 +286,7 @@ impl Entry {
             gate: Gate::Open,
             guard,
             publishers: None,
-            overdue_at: Instant::FAR_FUTURE,
+            awaited_since: Instant::FAR_FUTURE,
             announcements: 0,
             subscriptions: 0,
             first_subscription: NONE,
@@ -361,19 +362,23 @@ pub(crate) struct Route {
     pub(crate) tag: Tag,
     /// Its only subscriber; [`NONE`] if there is none, or more than one, or the channel has context.
     pub(super) only: u8,
+    /// It is noted when events of the channel come, since subscribers are told if one does not.
+    pub(super) is_awaited: bool,
 }
 
 impl Route {
-    /// The bits of its code.
+    /// The bits of its code: there are at most 128 channels.
     pub(super) const BITS: u32 = 16;
+    const AWAITED: u32 = 1 << 15;
 
     #[inline]
     pub(super) const fn decode(code: u32) -> Self {
-        Self { tag: Tag((code >> 8) as u8), only: code as u8 }
+        Self { tag: Tag((code >> 8 & 0x7F) as u8), only: code as u8, is_awaited: code & Self::AWAITED != 0 }
     }
 
     pub(super) const fn encode(self) -> u32 {
-        (self.tag.0 as u32) << 8 | self.only as u32
+        let awaited = if self.is_awaited { Self::AWAITED } else { 0 };
+        awaited | (self.tag.0 as u32) << 8 | self.only as u32
     }
 }
 

@@ -163,7 +163,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         }
         entry.subscriptions = entry.subscriptions.saturating_sub(1);
         if entry.subscriptions == 0 {
-            entry.overdue_at = Instant::FAR_FUTURE;
+            entry.awaited_since = Instant::FAR_FUTURE;
         }
         entry.counters.delivered = entry.counters.delivered.wrapping_add(gone.delivered);
         let last = (entry.subscriptions == 0).then_some(entry.declared);
@@ -197,23 +197,39 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     /// HRT message buffers at their instant, and in no other way.
     #[inline]
     pub(crate) fn receive(&mut self, frame: &Frame, received_at: Instant) -> Received {
-        self.receive_as(frame.id.etag().get().into(), frame, received_at)
+        self.receive_as::<true>(frame.id.etag().get().into(), frame, received_at)
     }
 
     /// As [`receive`](Self::receive), for an event that has come out of an HRT message buffer.
     #[inline]
     pub(crate) fn receive_hard(&mut self, frame: &Frame, received_at: Instant) -> Received {
-        self.receive_as(key(frame.id.etag()), frame, received_at)
+        self.receive_as::<false>(key(frame.id.etag()), frame, received_at)
     }
 
+    /// `MAY_BE_AWAITED`: not a hard real-time event, whose absence the calendar notices.
     #[inline(always)]
-    fn receive_as(&mut self, key: u32, frame: &Frame, received_at: Instant) -> Received {
+    fn receive_as<const MAY_BE_AWAITED: bool>(
+        &mut self,
+        key: u32,
+        frame: &Frame,
+        received_at: Instant,
+    ) -> Received {
         let Some(route) = self.by_etag.get(key).map(Route::decode) else { return Received::Foreign };
         let Some(subscriber) = self.subscribers.get_mut(usize::from(route.only)) else {
             return Received::Undelivered(route.tag);
         };
         let list = &mut subscriber.list;
-        if list.len() >= subscriber.takes_any || list.push(&mut self.pool, frame, received_at).is_err() {
+        if list.len() >= subscriber.takes_any {
+            return Received::Undelivered(route.tag);
+        }
+        if MAY_BE_AWAITED && route.is_awaited {
+            match self.channels.get_mut(usize::from(route.tag.0)) {
+                Some(Some(entry)) if entry.awaited_since <= received_at => entry.awaited_since = received_at,
+                // The next is overdue earlier than was thought.
+                _ => return Received::Undelivered(route.tag),
+            }
+        }
+        if list.push(&mut self.pool, frame, received_at).is_err() {
             return Received::Undelivered(route.tag);
         }
         subscriber.delivered = subscriber.delivered.wrapping_add(1);
@@ -242,9 +258,9 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             };
             context = carried;
         }
-        if let Some(patience) = entry.declared.patience() {
-            entry.note_arrival(patience, received_at);
-            self.first_overdue = self.first_overdue.min(entry.overdue_at);
+        if entry.declared.is_awaited() {
+            entry.awaited_since = received_at;
+            self.first_overdue = self.first_overdue.min(entry.overdue_at());
         }
         let counters = &mut entry.counters;
         let mut accepted = Accepted::Delivered;
@@ -322,7 +338,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     pub(crate) fn unbind(&mut self, subject: Subject) {
         let Some(at) = self.find(subject) else { return };
         let former = self.entry_mut(at as u8).and_then(|entry| {
-            entry.overdue_at = Instant::FAR_FUTURE;
+            entry.awaited_since = Instant::FAR_FUTURE;
             entry.etag.take()
         });
         if let Some(former) = former {
@@ -453,7 +469,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if let Some(former) = former {
             self.by_etag.remove(key(former));
         }
-        let route = Route { tag: Tag(at), only: NONE };
+        let route = Route { tag: Tag(at), only: NONE, is_awaited: false };
         self.by_etag.insert(key(etag), route.encode()).map_err(|_| AnnounceError::TooManyChannels)?;
         if let Some(entry) = self.entry_mut(at) {
             entry.etag = Some(etag);
@@ -475,13 +491,11 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let guarded = entry.declared.rate.is_some() || entry.gate == Gate::NonRealTime;
         entry.outlet = if guarded { Outlet::CLOSED } else { outlet };
         entry.guarded_outlet = if guarded { outlet } else { Outlet::CLOSED };
-        let awaited = entry.declared.patience().is_some();
-        let plain =
-            entry.subscriptions == 1 && !entry.declared.context && !awaited && entry.publishers.is_none();
+        let plain = entry.subscriptions == 1 && !entry.declared.context && entry.publishers.is_none();
         let only = if plain { entry.first_subscription } else { NONE };
         if let Some(etag) = entry.etag {
             // It is there already, so there is a place.
-            let route = Route { tag: Tag(at), only };
+            let route = Route { tag: Tag(at), only, is_awaited: entry.declared.is_awaited() };
             let _ = self.by_etag.insert(key(etag), route.encode());
         }
     }

@@ -65,7 +65,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             missed => Some((entry.declared.subject, missed)),
         });
         if found.is_none() {
-            let all = self.channels.iter().flatten().map(|entry| entry.overdue_at);
+            let all = self.channels.iter().flatten().map(Entry::overdue_at);
             self.first_overdue = all.fold(Instant::FAR_FUTURE, Instant::min);
         }
         found
@@ -73,8 +73,13 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 }
 
 impl Declared {
+    /// Returns whether subscribers are told of events that do not come: those of periodic soft channels.
+    pub(super) const fn is_awaited(&self) -> bool {
+        matches!((self.rate, &self.attributes), (Some(rate), Attributes::Soft(_)) if rate.is_periodic())
+    }
+
     /// How long a subscriber of a periodic soft channel waits for the next event; `None` for other channels.
-    pub(super) const fn patience(&self) -> Option<Duration> {
+    const fn patience(&self) -> Option<Duration> {
         match (self.rate, &self.attributes) {
             (Some(rate), Attributes::Soft(quality)) if rate.is_periodic() => Some(rate.patience(quality)),
             _ => None,
@@ -120,24 +125,29 @@ impl Entry {
         }
     }
 
-    /// Takes note that an event of a channel whose events are awaited has come.
-    pub(super) fn note_arrival(&mut self, patience: Duration, received_at: Instant) {
-        self.overdue_at = received_at + patience;
+    /// When the next event of a channel is overdue, if it does not come; [`Instant::FAR_FUTURE`] if none is awaited.
+    #[inline(never)]
+    pub(super) fn overdue_at(&self) -> Instant {
+        let patience = self.declared.patience().unwrap_or(Duration::MAX);
+        let ticks = self.awaited_since.since_epoch().as_ticks().saturating_add(patience.as_ticks());
+        Instant::from_epoch(Duration::from_ticks(ticks))
     }
 
     /// How many events have not come by now that should have.
     #[expect(clippy::arithmetic_side_effects, reason = "an interval is not zero")]
     pub(super) fn take_overdue(&mut self, now: Instant) -> u32 {
         let Some(rate) = self.declared.rate else { return 0 };
-        if now < self.overdue_at || self.overdue_at == Instant::FAR_FUTURE {
+        let overdue_at = self.overdue_at();
+        if now < overdue_at || overdue_at == Instant::FAR_FUTURE {
             return 0;
         }
-        let late = now.saturating_since(self.overdue_at).as_ticks();
+        let late = now.saturating_since(overdue_at).as_ticks();
         let interval = rate.interval().as_ticks().max(1);
         let missed = (late / interval).saturating_add(1);
-        // The first of its instants that is still to come; at the end of the time scale it stays there.
-        let next = now.since_epoch().as_ticks().saturating_sub(late % interval).saturating_add(interval);
-        self.overdue_at = Instant::from_epoch(Duration::from_ticks(next));
+        // As if each had come, and been as late as it may be.
+        let since =
+            self.awaited_since.since_epoch().as_ticks().saturating_add(missed.saturating_mul(interval));
+        self.awaited_since = Instant::from_epoch(Duration::from_ticks(since));
         u32::try_from(missed).unwrap_or(u32::MAX)
     }
 }
