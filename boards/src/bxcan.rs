@@ -8,7 +8,7 @@ use cosmic_core::can::filter_banks::FilterBank;
 use crate::bit_timing::BitTiming;
 use crate::bxcan_filters::{BANKS, Banks, SpareBanks, TooManyFilters};
 use crate::bxcan_rx::RxFrames;
-use crate::bxcan_status::{self, BusStatus, StatusChanges};
+use crate::bxcan_status::{self, BusStatus, Recovery, StatusChanges};
 use crate::bxcan_tx::{self, HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::registers::Registers;
 
@@ -79,6 +79,7 @@ impl Controller {
     pub fn set_up<'a>(
         &mut self,
         timing: BitTiming,
+        recovery: Recovery,
         filters: impl Iterator<Item = &'a FilterBank>,
         leaves_spare: bool,
     ) -> Result<SpareBanks, SetUpError> {
@@ -87,7 +88,7 @@ impl Controller {
         if !self.waits_until(|status| status & MSR_INAK != 0) {
             return Err(SetUpError::NoAnswer);
         }
-        configure(registers, timing);
+        configure(registers, timing, recovery);
         self.banks.apply(filters, leaves_spare).map_err(|TooManyFilters| SetUpError::TooManyFilters)
     }
 
@@ -124,11 +125,12 @@ impl Controller {
 }
 
 /// Needs initialisation mode.
-fn configure(registers: Registers, timing: BitTiming) {
+fn configure(registers: Registers, timing: BitTiming, recovery: Recovery) {
     registers.write(BTR, timing.register());
     // Frames are sent in the order of their identifiers (TXFP = 0), and again until they succeed (NART = 0).
-    // A full FIFO keeps the newest frame (RFLM = 0). Recovery from bus-off is automatic.
-    registers.write(MCR, registers.read(MCR) & (MCR_DBF | MCR_INRQ) | MCR_ABOM);
+    // A full FIFO keeps the newest frame (RFLM = 0).
+    let recovery = if recovery == Recovery::Automatic { MCR_ABOM } else { 0 };
+    registers.write(MCR, registers.read(MCR) & (MCR_DBF | MCR_INRQ) | recovery);
     registers.write(IER, IER_TMEIE | IER_FMPIE0 | IER_FMPIE1 | bxcan_status::INTERRUPTS);
 }
 
@@ -176,7 +178,7 @@ mod tests {
         let banks = Banks { registers: first.registers(), first: BANKS };
         let mut controller = Controller { registers: second.registers(), banks };
         let filters = [FilterBank::Mask { id: 0x0020_0012, mask: 0x1FE0_3FFF, fifo: Fifo::Other }];
-        assert!(controller.set_up(timing, filters.iter(), false).is_ok());
+        assert!(controller.set_up(timing, Recovery::Paced, filters.iter(), false).is_ok());
         assert_eq!([FM1R, FS1R, FFA1R, FA1R].map(|at| first.at(at)), [0x21, 0x4021, 0x4021, 0x4021]);
         assert_eq!((first.at(0x240 + 8 * 14), first.at(MCR), first.at(BTR)), (0x0100_0094, 0, 0));
         assert_eq!((second.at(BTR), second.at(FA1R), second.at(FMR)), (timing.register(), 0, 0));
@@ -190,7 +192,9 @@ mod tests {
         let timing = BitTiming::new(42_000_000, BitRate::MAX).unwrap();
         memory.set(MSR, MSR_INAK);
         let mut controller = first(&mut memory);
-        assert!(controller.set_up(timing, [].iter(), false).is_ok());
+        assert!(controller.set_up(timing, Recovery::Paced, [].iter(), false).is_ok());
+        assert_eq!(memory.at(MCR), 0x0001_0001);
+        assert!(controller.set_up(timing, Recovery::Automatic, [].iter(), false).is_ok());
         assert_eq!(memory.at(MCR), 0x0001_0041);
         assert_eq!(memory.at(BTR), timing.register());
         assert_eq!(memory.at(IER), 0x8713);
@@ -204,11 +208,14 @@ mod tests {
         let mut memory = Memory::new();
         let timing = BitTiming::new(42_000_000, BitRate::MAX).unwrap();
         let mut controller = first(&mut memory);
-        assert_eq!(controller.set_up(timing, [].iter(), false).err(), Some(SetUpError::NoAnswer));
+        assert_eq!(
+            controller.set_up(timing, Recovery::Paced, [].iter(), false).err(),
+            Some(SetUpError::NoAnswer)
+        );
         // Held dominant: the controller stays in initialisation mode, and is asked to leave it.
         memory.set(MSR, MSR_INAK);
-        assert!(controller.set_up(timing, [].iter(), false).is_ok());
+        assert!(controller.set_up(timing, Recovery::Paced, [].iter(), false).is_ok());
         assert!(!controller.join());
-        assert_eq!(memory.at(MCR), 0x40);
+        assert_eq!(memory.at(MCR), 0);
     }
 }

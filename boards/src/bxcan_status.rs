@@ -5,9 +5,10 @@
 //! not when the counters fall. It may come 20 failed transmissions before bus-off is reached, and each
 //! bus-off is told apart from the next by it.
 //!
-//! Recovery from bus-off is automatic (`CAN_MCR`, ABOM): after 128 times 11 recessive bits, 1408 bit times,
-//! the controller takes part again, with its counters at zero and its pending frames still in the mailboxes.
-//! So the interrupt must be served within 1408 bit times, or the bus-off has passed unseen.
+//! After 128 times 11 recessive bits, 1408 bit times, a controller that is bus-off takes part again, with its counters at
+//! zero and its pending frames still in the mailboxes. It begins to count them [by itself](Recovery::Automatic), and then
+//! the interrupt must be served within 1408 bit times, or the bus-off has passed unseen; or
+//! [when it is asked](BusStatus::ask_to_rejoin).
 
 use cosmic_core::can::ErrorCounters;
 
@@ -41,12 +42,22 @@ impl ErrorState {
     }
 }
 
+/// What ends bus-off.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Recovery {
+    /// The controller begins at once to count recessive bits (`CAN_MCR`, ABOM = 1).
+    Automatic,
+    /// It waits to be asked (ABOM = 0), which the runtime does after a pause that grows from 10 ms to a second, while the
+    /// node goes off the bus again and again. A line that is shorted so costs the others little.
+    Paced,
+}
+
 /// What `CAN_ESR` says.
 const fn counters(status: u32) -> ErrorCounters {
     ErrorCounters { transmit: (status >> ESR_TEC_SHIFT) as u8, receive: (status >> ESR_REC_SHIFT) as u8 }
 }
 
-/// Reads the error counters and the state, at any time; changes nothing.
+/// Reads the error counters and the state, at any time, and ends bus-off.
 pub struct BusStatus {
     registers: Registers,
 }
@@ -66,6 +77,16 @@ impl BusStatus {
     #[inline]
     pub fn state(&self) -> ErrorState {
         ErrorState::of(self.registers.read(ESR))
+    }
+
+    /// Where recovery is not automatic: lets the controller enter its initialisation mode, and with the second call
+    /// leave it, which is how it is asked to count recessive bits (RM0090, 32.7.6). Returns whether it was the second.
+    /// Between the two are some bits.
+    pub fn ask_to_rejoin(&mut self) -> bool {
+        let mode = self.registers.read(MCR);
+        // Since the controller has joined, the register is this owner's.
+        self.registers.write(MCR, mode ^ MCR_INRQ);
+        mode & MCR_INRQ != 0
     }
 }
 
@@ -120,9 +141,11 @@ const LIMITS: usize = 3;
 pub(crate) const INTERRUPTS: u32 = 1 << 8 | 1 << 9 | 1 << 10 | 1 << 15;
 
 // RM0090, bxCAN register map.
+const MCR: usize = 0x00;
 const MSR: usize = 0x04;
 const ESR: usize = 0x18;
 
+const MCR_INRQ: u32 = 1 << 0;
 const MSR_ERRI: u32 = 1 << 2;
 const ESR_EWGF: u32 = 1 << 0;
 const ESR_EPVF: u32 = 1 << 1;
@@ -172,6 +195,17 @@ mod tests {
             // Raised again between the acknowledgement and the reading.
             assert_eq!(interrupt(&mut memory, &mut changes, 7), Some((ErrorState::BusOff, false)));
         }
+    }
+
+    #[test]
+    fn the_request_enters_initialisation_mode_and_leaves_it() {
+        let mut memory = Memory::new();
+        memory.set(MCR, 1 << 16);
+        let mut bus = BusStatus::new(memory.registers());
+        assert!(!bus.ask_to_rejoin());
+        assert_eq!(memory.at(MCR), 1 << 16 | 1);
+        assert!(bus.ask_to_rejoin());
+        assert_eq!(memory.at(MCR), 1 << 16);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use cosmic_core::can::{ErrorCounters, Frame, Mailbox, Outcome};
 use cosmic_rtic::board;
 
 use crate::bxcan_rx::RxFrames;
-use crate::bxcan_status::{BusStatus, StatusChanges};
+use crate::bxcan_status::{BusStatus, ErrorState, StatusChanges};
 use crate::bxcan_tx::{Class, TxMailbox, TxOutcomes};
 
 impl<C: Class> board::TxMailbox for TxMailbox<C> {
@@ -46,6 +46,16 @@ impl board::BusStatus for BusStatus {
     #[inline]
     fn errors(&self) -> ErrorCounters {
         self.errors()
+    }
+
+    #[inline]
+    fn is_off(&self) -> bool {
+        self.state() == ErrorState::BusOff
+    }
+
+    #[inline]
+    fn ask_to_rejoin(&mut self) -> bool {
+        self.ask_to_rejoin()
     }
 }
 

@@ -22,7 +22,7 @@ use crate::bit_timing::{APB1, BitTiming};
 use crate::bxcan::{Parts, SetUpError};
 use crate::bxcan_filters::SpareBanks;
 use crate::bxcan_rx::RxFrames;
-use crate::bxcan_status::{BusStatus, StatusChanges};
+use crate::bxcan_status::{BusStatus, Recovery, StatusChanges};
 use crate::bxcan_tx::{HardMailbox, NonRealTimeMailbox, SoftMailbox, TxOutcomes};
 use crate::clock;
 use crate::failure;
@@ -199,7 +199,7 @@ impl<W: Wiring> Stm32F4<W> {
             pb11: port.pb11,
         });
         let mut can = W::Can::take(can, &mut rcc);
-        let set_up = can.set_up(timing, settings.filters, settings.leaves_spare);
+        let set_up = can.set_up(timing, W::RECOVERY, settings.filters, settings.leaves_spare);
         let filters = set_up.map_err(|error| match error {
             SetUpError::TooManyFilters => BoardError::Filters,
             SetUpError::NoAnswer => BoardError::Controller,
@@ -256,6 +256,8 @@ impl<W: Wiring> Board for Stm32F4<W> {
     type Status = BusStatus;
     type Changes = StatusChanges;
     type Filters = SpareBanks;
+
+    const REJOINS_ON_REQUEST: bool = matches!(W::RECOVERY, Recovery::Paced);
 
     #[inline]
     fn now() -> Instant {

@@ -34,6 +34,10 @@ pub trait Board: Sized + 'static {
     /// Takes what the controller is to accept as the node runs: `()` where its filters cannot change then.
     type Filters: Filters;
 
+    /// Whether the controller, once it is off the bus, waits until it is [asked](BusStatus::ask_to_rejoin) to take part
+    /// again: the event task asks, after a pause that grows. If not, it comes back by itself.
+    const REJOINS_ON_REQUEST: bool = false;
+
     /// Local time: free-running, never stepped. Called from every priority up to that of the calendar task.
     fn now() -> Instant;
 
@@ -108,6 +112,17 @@ pub trait RxFifo {
 pub trait BusStatus {
     /// The error counters as they are now.
     fn errors(&self) -> ErrorCounters;
+
+    /// Returns whether the controller is off the bus.
+    fn is_off(&self) -> bool {
+        false
+    }
+
+    /// Takes a step of the request to take part again, without waiting for it, and returns whether it was the last. The
+    /// steps are a millisecond apart.
+    fn ask_to_rejoin(&mut self) -> bool {
+        true
+    }
 }
 
 /// Changes of the error state.

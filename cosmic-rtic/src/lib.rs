@@ -46,6 +46,7 @@ mod log;
 pub mod messages;
 mod node;
 pub mod observer;
+mod rejoin;
 mod sieve;
 mod signal;
 mod spsc;

@@ -19,6 +19,7 @@ use crate::board::{Board, BusStatus as _, Filters as _, TxMailbox as _};
 use crate::departures::Departures;
 use crate::inbox::{Counted, Item, Wake};
 use crate::observer::{Observer as _, Observes};
+use crate::rejoin::Rejoin;
 use crate::sieve::Sieve;
 use crate::signal::Signal;
 use crate::system::{self, Half, System, Timed as _};
@@ -34,6 +35,7 @@ pub struct Node<T: System> {
     pub(crate) status: <T::Board as Board>::Status,
     pub(crate) filters: <T::Board as Board>::Filters,
     pub(crate) errors: ErrorCounters,
+    pub(crate) rejoin: Rejoin,
     /// Wakes the event task.
     pub(crate) wake: &'static Wake,
     pub(crate) wake_calendar: &'static Signal,
@@ -243,12 +245,16 @@ impl<T: System> Node<T> {
         if core::mem::replace(&mut self.errors, errors) != errors {
             self.half.on_input(&Input::Errors(errors), now);
         }
-        let next = loop {
+        let mut next = loop {
             match self.half.poll(now) {
                 Step::Command(command) => self.execute(command),
                 Step::SleepUntil(instant) => break instant,
             }
         };
+        if T::Board::REJOINS_ON_REQUEST {
+            let (is_off, went_off) = (self.status.is_off(), counted.times_off > 0);
+            next = next.min(self.rejoin.attend(now, is_off, went_off, || self.status.ask_to_rejoin()));
+        }
         self.tell_interest();
         let discarded = [ExceptionKind::ValidityExpired, ExceptionKind::IdentifierLost]
             .into_iter()

@@ -14,6 +14,7 @@ use crate::hard::{Hard, HardCell};
 use crate::inbox::Queued;
 use crate::node::Node;
 use crate::observer::Observer;
+use crate::rejoin::Rejoin;
 use crate::sieve::Sieve;
 use crate::system::{Buffers, Half, StartError, System, Timed as _};
 use crate::tasks::{Calendar, Events, Other, Outcomes, Receiver, Status, Urgent};
@@ -133,6 +134,7 @@ pub fn start_with<T: System>(
             status,
             filters,
             errors: ErrorCounters::NONE,
+            rejoin: Rejoin::new(),
             wake: ends.wake,
             wake_calendar: ends.wake_calendar,
             sync_period: plan.sync.map_or(Duration::from_ticks(0), |sync| sync.period),

@@ -8,6 +8,7 @@ mod nucleo_f446re;
 mod stm32_h405;
 mod stm32f4discovery;
 
+pub use crate::bxcan_status::Recovery;
 pub use can::{Can, Can1, Can2, FreePins, FreePinsBesideCan2, PinsOfBoth};
 pub use feather_f405::FeatherF405;
 pub use nucleo_f446re::NucleoF446Re;
@@ -18,6 +19,8 @@ pub use stm32f4discovery::Stm32F4Discovery;
 pub trait Wiring: 'static {
     /// What clocks the chip from outside.
     const OSCILLATOR: Oscillator;
+    /// What ends bus-off: a pause that grows, unless a board says otherwise.
+    const RECOVERY: Recovery = Recovery::Paced;
     /// The controller that the transceiver is at: [`Can1`] or [`Can2`].
     type Can: Can;
     /// The pin of an LED, for the application.

@@ -218,6 +218,7 @@ impl Cluster {
         let (at, station) = (self.bus.now(), self.nodes[node.0].1);
         self.bus.disconnect(at, station);
         self.bus.reset(at, station);
+        self.bus.set_bus_off_recovery(station, BusOffRecovery::OnRequest);
         self.commands.retain(|(_, owner, _)| *owner != node);
     }
 
@@ -365,7 +366,10 @@ impl Cluster {
                 }
             }
             Command::Disconnect => bus.disconnect(at, station),
-            Command::Reset => bus.reset(at, station),
+            Command::Reset => {
+                bus.reset(at, station);
+                bus.set_bus_off_recovery(station, BusOffRecovery::OnRequest);
+            }
             Command::RecoverAutomatically(automatically) => {
                 let recovery =
                     if automatically { BusOffRecovery::Automatic } else { BusOffRecovery::OnRequest };

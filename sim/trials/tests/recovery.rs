@@ -144,8 +144,9 @@ fn three_frames_wait_in_the_controller_and_a_fourth_is_told_to_be_lost() {
     assert!((99..=101).contains(&beats), "{beats} beats in the last second");
 }
 
-/// Destroys all frames of a node, or of all, for three seconds, and looks at what is two and a half seconds later.
-fn shorted(frames: Filter) -> Trial {
+/// Destroys all frames of a node, or of all, for three seconds, and looks at what is two and a half seconds later. These
+/// nodes were off the bus.
+fn shorted(frames: Filter, frames_of: &[u8]) -> Trial {
     let mut trial = Trial::new(&[("master", 0), ("deputy", 0), ("worker", 0), ("guest", 0)]);
     trial.run_until(1_000);
     let fault = Fault::Inverted(BitPosition::FromStart(60));
@@ -159,13 +160,21 @@ fn shorted(frames: Filter) -> Trial {
         // It tells of each event that does not come, or does not leave, and of little else.
         let lines = trial.log(name, 1_000).into_iter().filter(|(at, _)| *at < SHORT_UNTIL);
         let others: Vec<_> = lines.filter(|(_, line)| !line.contains("subject: Some")).collect();
-        println!("{name}: {} lines besides those of events", others.len());
+        let told = others.iter().filter(|(_, line)| line.contains("BusOff")).count();
+        println!("{name}: {told} times off, {} lines besides those of events", others.len());
+        assert!(told <= MOST_BUS_OFFS, "{name}: {others:#?}");
         assert!(others.len() <= MOST_BUS_OFFS + 10, "{name}: {others:#?}");
     }
     let states: BTreeSet<_> =
         trial.statuses(SHORT_UNTIL + 2_400).map(|(_, status)| (status.tx_node, status.state as u8)).collect();
     assert_eq!(states.len(), 4, "{states:?}");
     assert!(states.iter().all(|(_, state)| *state == NodeState::Operational as u8), "{states:?}");
+    for tx_node in frames_of {
+        let first = trial.frames(SHORT_UNTIL).find(|(_, frame)| frame.id.tx_node().get() == *tx_node);
+        let (first, _) = first.unwrap_or_else(|| panic!("node {tx_node} did not come back"));
+        println!("node {tx_node}: back after {} ms", first - SHORT_UNTIL);
+        assert!(first <= SHORT_UNTIL + BACK_WITHIN, "node {tx_node}: back after {} ms", first - SHORT_UNTIL);
+    }
     let last = SHORT_UNTIL + 2_500;
     let beats = trial.frames(last).filter(|(_, frame)| frame.id.priority() == Priority::HARD).count();
     let counts = trial.frames(last).filter(|(_, frame)| frame.id.etag() == Etag::BOUND_LAST).count();
@@ -174,8 +183,10 @@ fn shorted(frames: Filter) -> Trial {
 }
 
 const SHORT_UNTIL: u64 = 4_000;
-/// In three seconds: a recovery takes 128 times 11 bits, and 32 attempts up to bit 60 are before the next.
-const MOST_BUS_OFFS: usize = 3_000_000 / (128 * 11 + TO_BUS_OFF as usize * 60);
+/// In three seconds: the pauses between them are 10, 20, 40, 80, 160, 320, 640 and 1000 ms, and the next is under way.
+const MOST_BUS_OFFS: usize = 9;
+/// Once the bus is well again: the longest pause, and a moment.
+const BACK_WITHIN: u64 = 1_100;
 
 /// Attempts that failed while the bus was shorted, each with its error frame.
 fn attempts(trial: &Trial) -> usize {
@@ -188,7 +199,7 @@ fn attempts(trial: &Trial) -> usize {
 #[test]
 fn a_node_whose_line_is_shorted_for_long_leaves_the_bus_to_the_others_and_comes_back() {
     let own = ExtendedId::new(126 << 14).unwrap();
-    let trial = shorted(Filter::new(own.into(), false, 0x7F << 14));
+    let trial = shorted(Filter::new(own.into(), false, 0x7F << 14), &[126]);
     let attempts = attempts(&trial);
     println!("{attempts} attempts in three seconds");
     assert!(attempts <= TO_BUS_OFF as usize * MOST_BUS_OFFS, "{attempts}");
@@ -201,7 +212,7 @@ fn a_node_whose_line_is_shorted_for_long_leaves_the_bus_to_the_others_and_comes_
 
 #[test]
 fn a_bus_that_is_shorted_for_long_is_taken_up_again_by_all() {
-    let trial = shorted(Filter::ANY);
+    let trial = shorted(Filter::ANY, &[1, 2, 3, 126]);
     let meanwhile = trial.frames(1_001).filter(|(at, _)| *at < SHORT_UNTIL).count();
     assert_eq!(meanwhile, 0, "nothing comes through");
 }
