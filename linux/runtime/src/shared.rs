@@ -345,7 +345,7 @@ fn restore(config: &Config, tables: &crate::BrokerTables) -> Result<Hosting, Sta
         })?;
     }
     let broker = Broker::new(config.node.uid, broker::BrokerTiming::DEFAULT, nodes, subjects);
-    Ok(Hosting::new(broker, config.node.admission, config.node.admission_timing))
+    Ok(Hosting::new(broker, config.node.admission, *config.node.admission_timing))
 }
 
 /// Local time at the start of a node: later than any span that is taken from it.
