@@ -155,6 +155,12 @@ impl Ledger {
         })
     }
 
+    /// When a node first subscribed to a channel, whatever it filters; `None` if it never did.
+    pub fn subscribed_from(&self, node: TxNode, channel: u16) -> Option<VirtualInstant> {
+        let of_both = self.subscriptions.iter().filter(|it| (it.node, it.channel) == (node, channel));
+        of_both.map(|it| it.from).min()
+    }
+
     fn index(&self, etag: Etag, publisher: TxNode) -> Option<usize> {
         let same = |account: &Account| (account.channel.etag, account.channel.publisher) == (etag, publisher);
         self.channels.iter().position(same)

@@ -101,6 +101,8 @@ pub struct SubscriberReport {
     pub node: &'static str,
     /// Events that its application took, each counted once.
     pub delivered: usize,
+    /// Events that were published before it subscribed.
+    pub before: usize,
     /// Further copies that it took.
     pub duplicates: usize,
     /// From publication until the event became visible.
@@ -281,11 +283,15 @@ fn subscriber(
     node: TxNode,
 ) -> SubscriberReport {
     let (mut latency, mut taken, mut jitter) = (Spread::default(), Spread::default(), Spread::default());
-    let (mut delivered, mut duplicates, mut previous) = (0, 0, None);
+    let (mut delivered, mut before, mut duplicates, mut previous) = (0, 0, 0, None);
+    let subscribed_from = verdict.ledger.subscribed_from(node, channel.number);
     let account = verdict.ledger.account(channel.etag, channel.publisher);
     for life in account.into_iter().flat_map(|account| account.events.iter()) {
         let mut deliveries = life.deliveries_to(node);
-        let Some(first) = deliveries.next() else { continue };
+        let Some(first) = deliveries.next() else {
+            before += usize::from(subscribed_from.is_some_and(|from| life.published_at <= from));
+            continue;
+        };
         delivered += 1;
         duplicates += deliveries.count();
         let span = Span::between(life.published_at, first.visible_at);
@@ -304,6 +310,7 @@ fn subscriber(
     SubscriberReport {
         node: journal.cluster.name_of(node),
         delivered,
+        before,
         duplicates,
         latency_us: latency.range(),
         jitter_us: jitter.range(),

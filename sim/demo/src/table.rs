@@ -316,6 +316,10 @@ fn remainder(channel: &ChannelReport) -> Option<String> {
             parts.push(format!("{count} {what}"));
         }
     }
+    let late = channel.subscribers.iter().filter(|subscriber| subscriber.before > 0);
+    parts.extend(
+        late.map(|subscriber| format!("{} before {} subscribed", subscriber.before, subscriber.node)),
+    );
     (!parts.is_empty()).then(|| format!("{} {}", channel.name, parts.join(", ")))
 }
 
