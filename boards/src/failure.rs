@@ -4,8 +4,8 @@
 //! fails, the hardware has the core run by the internal oscillator, and calls for the non-maskable interrupt. The bits that
 //! the node would send by that clock are wrong.
 //!
-//! **The supply.** The programmable voltage detector watches it (RM0090, 5.2.3), at 2.8 V: at 168 MHz the flash wants 2.7 V
-//! (3.5.1), and what the core reads below that may be anything. The interrupt has the highest priority of all.
+//! **The supply.** The programmable voltage detector watches it (RM0090, 5.2.3): at 168 MHz the flash wants 2.7 V (3.5.1), and
+//! what the core reads far below that may be anything. The interrupt has the highest priority of all.
 //!
 //! Either interrupt holds the CAN controllers in reset, and with them TX recessive, notes why, and resets the part; for the
 //! supply to return it waits before. The start after that waits for the crystal and the supply for as long as it takes:
@@ -55,7 +55,7 @@ pub(crate) fn watch_supply(rcc: &RegisterBlock) {
     // SAFETY: interrupts are not enabled yet, and only bits of the detector and of its line are changed.
     let (power, lines) = unsafe { (&*PWR::ptr(), &*EXTI::ptr()) };
     // SAFETY: three bits, all of whose values are thresholds.
-    power.cr().modify(|_, w| unsafe { w.pls().bits(PLS_2V8).pvde().set_bit() });
+    power.cr().modify(|_, w| unsafe { w.pls().bits(PLS).pvde().set_bit() });
     while is_low() {}
     lines.rtsr().modify(|_, w| w.tr16().set_bit());
     lines.imr().modify(|_, w| w.mr16().set_bit());
@@ -137,5 +137,6 @@ const SUPPLY: u32 = 1 << 2;
 /// So often it is asked whether the crystal runs: each takes 8 cycles at most, 100 ms at the 16 MHz after a reset. It
 /// takes 2 ms (STM32F405 datasheet, 5.3.8).
 const PATIENCE: u32 = 200_000;
-/// The level of the detector (RM0090, `PWR_CR`).
-const PLS_2V8: u8 = 6;
+/// The level of the detector (RM0090, `PWR_CR`): typically 2.66 V when the supply falls, 2.76 V when it rises (STM32F405
+/// datasheet, 5.3.5). The next one is at up to 2.99 V, which would keep boards from starting that run on 3 V, as the Discovery.
+const PLS: u8 = 4;

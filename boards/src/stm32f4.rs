@@ -145,7 +145,7 @@ impl<W: Wiring> Stm32F4<W> {
     /// Waits until the crystal runs and the bus has been recessive for 11 bits; call it before interrupts
     /// are enabled, as RTIC's `init` does. It waits for neither for longer than a tenth of a second: without a crystal
     /// it returns an error, and on a bus that is held dominant the node starts, and joins when the bus is free. But after a
-    /// crystal has failed while the node ran it waits until that oscillates again, and it waits for a supply above 2.8 V.
+    /// crystal has failed while the node ran it waits until that oscillates again, and it waits for a supply above 2.8 V at most.
     ///
     /// `timer` is the priority of the timer's interrupt, as RTIC counts. A task of a higher one must not wait for
     /// the clock: it would be woken by a lower one.
