@@ -59,7 +59,7 @@ fn fails(worker: &'static str, what: Change, causes: (&str, &str), into: impl Fn
     let causes: BTreeSet<_> = of_worker.map(|(_, status)| status.reset_cause.name()).collect();
     assert_eq!(causes, BTreeSet::from([told]), "{worker}");
     assert_eq!(trial.oddities(), Vec::<String>::new(), "{worker}");
-    assert!(trial.resets(worker).len() <= 3, "{worker}: {:?}", trial.resets(worker));
+    assert_eq!(trial.resets(worker).len(), 1, "{worker}: {:?}", trial.resets(worker));
 
     // Told once: the next reset has a cause of its own.
     trial.cluster.reset(node);
