@@ -73,7 +73,7 @@ impl Banks {
         let (mut wide, mut active) = (used, used);
         if leaves_spare && spare.is_ok() {
             let last = first + BANKS - 1;
-            write_bank(registers, last, &EVERYTHING);
+            write_bank(registers, last, const { &Wanted::ALL.bank() });
             to_other |= own & !used;
             (wide, active) = (own, used | 1 << last);
             spare = Ok(SpareBanks { registers, count: last - next, first: next });
@@ -145,7 +145,6 @@ fn write_bank(registers: Registers, bank: usize, filter: &FilterBank) {
     registers.write(BANK_0 + BANK_STRIDE * bank + 4, second);
 }
 
-const EVERYTHING: FilterBank = FilterBank::Mask { fifo: Fifo::Other, id: 0, mask: 0 };
 const OWN_BANKS: u32 = (1 << BANKS) - 1;
 
 // RM0090, bxCAN register map.

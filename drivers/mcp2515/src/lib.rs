@@ -52,7 +52,8 @@ pub struct Config {
     pub oscillator_hz: u32,
     /// The bit rate of the segment.
     pub bit_rate: BitRate,
-    /// What it is to accept.
+    /// What it is to accept. It stays so: a node that is [named at run
+    /// time](cosmic_core::plan::NodePlan::named_at_run_time) takes [`Filters::ALL`].
     pub filters: Filters,
 }
 
