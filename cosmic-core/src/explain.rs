@@ -229,6 +229,10 @@ impl fmt::Display for SyncConfigError {
             Self::StampError => f.write_str(
                 "the error of time-stamps is over a hundredth of the period: choose a longer period",
             ),
+            Self::Rank => f.write_str(
+                "the node has a rank as time master, and services that only follow: plan it with rank \"never\", or \
+                 choose services that can be master",
+            ),
             Self::Drift => f.write_str(
                 "the drift is negative or too large for a clock rate: state that of the oscillator, or choose \
                  a longer period",

@@ -215,7 +215,7 @@ fn follow_up_pair(sender: TxNode, rank: u8, sequence: u8, instant: u64) -> [Fram
 
 fn master_of(seal: Option<&'static Seal>) -> (Option<u8>, Vec<ExceptionKind>) {
     let config = SyncConfig { rank: Rank::new(1), ..SyncConfig::DEFAULT };
-    let mut service = ClockService::new(config, &CALENDAR, Some(ME), at(0)).unwrap().sealed(seal);
+    let mut service = <ClockService>::new(config, &CALENDAR, Some(ME), at(0)).unwrap().sealed(seal);
     let mut followed = None;
     let mut told = Vec::new();
     for (turn, now) in (1..8).map(|turn| (turn, u64::from(turn) * 100)) {
@@ -406,7 +406,7 @@ fn a_sealed_node_announces_what_its_plan_says() {
         if services {
             check(&|channel| node(Some(&SEAL)).half.announce(channel).map(|_| ()));
         } else {
-            let service = || ClockService::new(SyncConfig::DEFAULT, &CALENDAR, Some(ME), at(0)).unwrap();
+            let service = || <ClockService>::new(SyncConfig::DEFAULT, &CALENDAR, Some(ME), at(0)).unwrap();
             check(&|channel| Bench::new(service().sealed(Some(&SEAL))).half.announce(channel).map(|_| ()));
         }
     }
@@ -415,7 +415,7 @@ fn a_sealed_node_announces_what_its_plan_says() {
         sealed.half.subscribe(&soft(0xC, Etag::BOUND_FIRST), Filter::ALL, Policy::Latest).unwrap_err();
     assert_eq!(error, SubscribeError::Channel(outside));
     let moved = soft(0xB, Etag::BOUND_FIRST);
-    let service = ClockService::new(SyncConfig::DEFAULT, &CALENDAR, Some(SENSOR), at(0)).unwrap();
+    let service = <ClockService>::new(SyncConfig::DEFAULT, &CALENDAR, Some(SENSOR), at(0)).unwrap();
     assert_eq!(Bench::new(service.sealed(Some(&SEAL))).half.announce(&moved).unwrap_err(), outside);
     // What was refused has taken no room.
     for _ in 0..8 {

@@ -93,7 +93,8 @@ impl<
     B: PlannedHost,
     const ADMISSIONS: usize,
     const SEALABLE: bool,
-> Timed for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE>
+    const CANDIDATE: bool,
+> Timed for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE>
 {
     fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
         if node.seal.is_some() && !SEALABLE {

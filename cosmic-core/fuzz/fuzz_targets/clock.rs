@@ -12,7 +12,7 @@ fuzz_target!(|bytes: &[u8]| {
     let Some((first, bytes)) = bytes.split_first() else { return };
     let mut script = Script::new(bytes);
     let config = SyncConfig { rank: Rank::new(*first), ..SyncConfig::DEFAULT };
-    let mut clock = ClockSync::new(config, script.now).unwrap();
+    let mut clock: ClockSync = ClockSync::new(config, script.now).unwrap();
     clock.set_tx_node(TxNode::new(*first));
     let mut sent = Vec::new();
     while let Some(step) = script.next() {

@@ -10,10 +10,10 @@ use crate::sync::{ClockEvent, ClockSync, SyncConfig, SyncConfigError, SyncCounte
 use crate::time::{Duration, GlobalClock, Instant};
 use crate::uid::{NodeUid, Subject};
 
-/// Clock synchronisation alone: for a cluster whose ids and etags are all fixed.
+/// Clock synchronisation alone: for a cluster whose ids and etags are all fixed. `CANDIDATE` as in [`ClockSync`].
 #[derive(Clone, Debug)]
-pub struct ClockService {
-    sync: ClockSync,
+pub struct ClockService<const CANDIDATE: bool = true> {
+    sync: ClockSync<CANDIDATE>,
     /// What the time-triggered half was told last.
     told: Option<GlobalClock>,
     inhibited: bool,
@@ -30,7 +30,7 @@ pub struct ClockService {
 /// Between two exceptions because of frames that bear this node's own TxNode.
 const DUPLICATES_TOLD_EVERY: Duration = Duration::from_millis(1_000);
 
-impl ClockService {
+impl<const CANDIDATE: bool> ClockService<CANDIDATE> {
     /// Takes part with this TxNode and calendar, which says how long a bit is; `config` says the rest.
     ///
     /// # Errors
@@ -136,7 +136,9 @@ impl ClockService {
     }
 }
 
-impl Services for ClockService {
+impl<const CANDIDATE: bool> Services for ClockService<CANDIDATE> {
+    const SENDS_URGENT: bool = CANDIDATE;
+
     fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         let own = self.tx_node;
         if self.warden.as_mut().is_some_and(|warden| !warden.admits(frame, received_at, own)) {

@@ -15,7 +15,7 @@ pub use clock::ClockService;
 pub use config::{News, NodeConfig};
 pub use hosted::{AdmittingBroker, Hosted};
 pub use naming::NamingService;
-pub use node::{NodeServices, PlannedServices};
+pub use node::{FollowingServices, NodeServices, PlannedServices};
 
 use crate::admission::Offer;
 use crate::can::{ErrorCounters, Etag, Frame, Id, TxNode, TxNodes};

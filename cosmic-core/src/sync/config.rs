@@ -41,6 +41,8 @@ pub enum SyncConfigError {
     Period,
     /// The time-stamp error, or a bit, is over a hundredth of the period: choose a longer period.
     StampError,
+    /// A rank for a [`ClockSync`](super::ClockSync) that is no candidate: it never becomes master.
+    Rank,
     /// The drift is negative, or so large that rates leave the range of [`Rate`]. 100 parts in 10⁶ are
     /// accepted; with a smaller time-stamp error or rate change, more.
     Drift,

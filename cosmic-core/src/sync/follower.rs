@@ -44,7 +44,7 @@ pub(super) struct Pair {
     pub(super) sent_at: GlobalInstant,
 }
 
-impl ClockSync {
+impl<const CANDIDATE: bool> ClockSync<CANDIDATE> {
     pub(super) fn on_sync(&mut self, sync: Pending) {
         let period = self.config.period;
         if let Some(pending) = &self.pending {
@@ -97,13 +97,19 @@ impl ClockSync {
                     self.change_master(&pair);
                 }
             }
-            Standing::Master(_) => {
-                if self.own_place().is_some_and(|own| own < (pair.message.rank, pair.from)) {
-                    count(&mut self.counters.foreign);
-                } else {
-                    self.yield_to(&pair);
-                }
-            }
+            Standing::Master(_) => self.on_other_master(&pair),
+        }
+    }
+
+    /// This node is master, too.
+    fn on_other_master(&mut self, pair: &Pair) {
+        if !CANDIDATE {
+            return;
+        }
+        if self.own_place().is_some_and(|own| own < (pair.message.rank, pair.from)) {
+            count(&mut self.counters.foreign);
+        } else {
+            self.yield_to(pair);
         }
     }
 

@@ -78,7 +78,7 @@ use master::Mastership;
 /// use cosmic_core::time::{Duration, Instant};
 ///
 /// let config = SyncConfig { rank: Some(Rank::FIRST), ..SyncConfig::DEFAULT };
-/// let mut sync = ClockSync::new(config, Instant::EPOCH)?;
+/// let mut sync: ClockSync = ClockSync::new(config, Instant::EPOCH)?;
 /// sync.set_tx_node(TxNode::new(7));
 /// // Nobody else is there: after eight periods it becomes master and sends its first sync frame.
 /// assert_eq!(sync.poll(Instant::EPOCH), None);
@@ -91,8 +91,10 @@ use master::Mastership;
 /// assert_eq!(follow_up.payload.as_slice(), [0, 0, 0, 0, 0x2F, 0xB1, 0x79, 0x00]);
 /// # Ok::<(), cosmic_core::sync::SyncConfigError>(())
 /// ```
+///
+/// One that is no `CANDIDATE` only follows, and an image has no code for what a master does.
 #[derive(Clone, Debug)]
-pub struct ClockSync {
+pub struct ClockSync<const CANDIDATE: bool = true> {
     config: SyncConfig,
     tx_node: Option<TxNode>,
     role: Standing,
@@ -123,15 +125,18 @@ enum Standing {
     Master(Mastership),
 }
 
-impl ClockSync {
+impl<const CANDIDATE: bool> ClockSync<CANDIDATE> {
     /// Starts to listen. It takes part as a follower at once, and as a candidate from
     /// [`ClockSync::set_tx_node`] on.
     ///
     /// # Errors
-    /// The first setting that is refused.
+    /// The first setting that is refused; a rank, if this is no candidate.
     pub const fn new(config: SyncConfig, now: Instant) -> Result<Self, SyncConfigError> {
         if let Err(error) = config.check() {
             return Err(error);
+        }
+        if !CANDIDATE && config.rank.is_some() {
+            return Err(SyncConfigError::Rank);
         }
         Ok(Self {
             config,
@@ -175,7 +180,7 @@ impl ClockSync {
 
     /// Returns whether this node is the master.
     pub const fn is_master(&self) -> bool {
-        matches!(self.role, Standing::Master(_))
+        CANDIDATE && matches!(self.role, Standing::Master(_))
     }
 
     /// The master that this node follows, which may be itself.
@@ -224,6 +229,9 @@ impl ClockSync {
     /// Takes the local time at which the transmission of a frame that [`ClockSync::poll`] gave out ended.
     /// Other frames are ignored.
     pub fn on_sent(&mut self, frame: &Frame, sent_at: Instant) {
+        if !CANDIDATE {
+            return;
+        }
         let Standing::Master(mastership) = &mut self.role else { return };
         if SyncMessage::decode(frame)
             .is_some_and(|message| mastership.on_sent(&message, sent_at, &self.clock))
@@ -236,6 +244,9 @@ impl ClockSync {
     /// At most two frames a period.
     pub fn poll(&mut self, now: Instant) -> Option<Frame> {
         self.report_loss(now);
+        if !CANDIDATE {
+            return None;
+        }
         self.give_up_unheard(now);
         if now >= self.takeover_at {
             self.become_master(now);
@@ -285,14 +296,14 @@ impl ClockSync {
                 let loss = if following.lost { Instant::FAR_FUTURE } else { loss };
                 self.takeover_at.min(loss)
             }
-            Standing::Master(_) if self.tx_node.is_none() => Instant::FAR_FUTURE,
+            Standing::Master(_) if !CANDIDATE || self.tx_node.is_none() => Instant::FAR_FUTURE,
             Standing::Master(mastership) => mastership.next_wakeup(),
         }
     }
 
     /// This node's place in the succession, smallest first.
     fn own_place(&self) -> Option<(Rank, TxNode)> {
-        self.config.rank.zip(self.tx_node)
+        if CANDIDATE { self.config.rank.zip(self.tx_node) } else { None }
     }
 
     fn report_loss(&mut self, now: Instant) {

@@ -45,7 +45,12 @@ fn node(rank: Option<u8>) -> ClockSync {
 }
 
 /// A pair that was sent in the given period by a master whose clock is a second ahead.
-fn hear(node: &mut ClockSync, master: TxNode, predecessor: TxNode, period: u64) {
+fn hear<const CANDIDATE: bool>(
+    node: &mut ClockSync<CANDIDATE>,
+    master: TxNode,
+    predecessor: TxNode,
+    period: u64,
+) {
     node.on_frame(&sync(master, period, predecessor), at(period * PERIOD));
     let sent_at = 1_000_000 + period * PERIOD;
     node.on_frame(&follow_up(master, period, sent_at), at(period * PERIOD + 300));
@@ -62,7 +67,7 @@ fn synchronised(rank: Option<u8>) -> ClockSync {
     node
 }
 
-fn events(node: &mut ClockSync) -> Vec<ClockEvent> {
+fn events<const CANDIDATE: bool>(node: &mut ClockSync<CANDIDATE>) -> Vec<ClockEvent> {
     core::iter::from_fn(|| node.poll_event()).collect()
 }
 
@@ -403,7 +408,49 @@ fn events_that_are_not_fetched_are_counted() {
     assert_eq!(node.counters().events_lost, 14);
 }
 
+#[test]
+fn a_node_that_only_follows_has_no_rank() {
+    let with = |rank| ClockSync::<false>::new(SyncConfig { rank, ..SyncConfig::DEFAULT }, at(0)).err();
+    assert_eq!(with(Some(Rank::FIRST)), Some(SyncConfigError::Rank));
+    assert_eq!(with(None), None);
+}
+
 proptest! {
+    /// Whomever it hears, loses and believes: what is compiled without a master follows as one that is none does.
+    #[test]
+    fn a_node_that_only_follows_is_one_without_a_rank(
+        steps in proptest::collection::vec((0u64..12, any::<bool>(), any::<bool>(), -3i64..=3), 0..60),
+    ) {
+        let config = SyncConfig { calendar_digest: 0xCAFE_F00D, ..SyncConfig::DEFAULT };
+        let mut follower = ClockSync::<false>::new(config, at(0)).unwrap();
+        let mut other = node(None);
+        follower.set_tx_node(Some(OWN));
+        let mut period = 0;
+        let mut used = 0;
+        for (silent, is_other, continues, error) in steps {
+            // Mostly the next period; a long silence now and then, and a stamp that contradicts.
+            period += 1 + silent.saturating_sub(4);
+            let master = if is_other { OTHER } else { MASTER };
+            let predecessor = if continues { MASTER } else { master };
+            let sent_at = (1_000_000 + period * PERIOD).saturating_add_signed(if silent == 4 { error } else { 0 });
+            let [sync, told] = [sync(master, period, predecessor), follow_up(master, period, sent_at)];
+            for (frame, now) in [(sync, at(period * PERIOD)), (told, at(period * PERIOD + 300))] {
+                follower.on_frame(&frame, now);
+                other.on_frame(&frame, now);
+                for now in [now, follower.next_wakeup().min(at((period + 1) * PERIOD - 1))] {
+                    prop_assert_eq!(follower.next_wakeup(), other.next_wakeup());
+                    prop_assert_eq!((follower.poll(now), other.poll(now)), (None, None));
+                }
+            }
+            prop_assert_eq!(follower.clock(), other.clock());
+            prop_assert_eq!(follower.master(), other.master());
+            prop_assert_eq!(events(&mut follower), events(&mut other));
+            prop_assert_eq!(follower.counters(), other.counters());
+            used = follower.counters().used;
+        }
+        prop_assert!(used > 0 || period == 0);
+    }
+
     /// Whatever stands in the frames and however late calls are: no panic, and no endless polling.
     #[test]
     fn arbitrary_frames_do_no_harm(
@@ -414,7 +461,7 @@ proptest! {
     ) {
         let config = SyncConfig { rank: rank.and_then(Rank::new), ..SyncConfig::DEFAULT };
         let mut now = Instant::from_epoch(Duration::from_ticks(start));
-        let mut node = ClockSync::new(config, now).unwrap();
+        let mut node: ClockSync = ClockSync::new(config, now).unwrap();
         node.set_tx_node(Some(OWN));
         for (sender, sync, mut bytes, len, span, shift) in steps {
             // Few sequence numbers and senders, so that frames make pairs.

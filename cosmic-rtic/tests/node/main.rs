@@ -16,8 +16,10 @@ use bench::*;
 use cosmic_core::can::{Frame, Id, Mailbox, Outcome, Payload, Priority};
 use cosmic_core::event_layer::ExceptionKind;
 use cosmic_core::plan::NodePlan;
+use cosmic_core::protocol::Rank;
 use cosmic_core::seal::Seal;
-use cosmic_core::services::PlannedServices;
+use cosmic_core::services::{FollowingServices, PlannedServices};
+use cosmic_core::sync::{SyncConfig, SyncConfigError};
 use cosmic_core::time::Instant;
 use cosmic_rtic::{Parts, Publisher, StartError, Subscriber, Timed as _};
 
@@ -153,4 +155,14 @@ fn services_that_cannot_keep_to_the_seal_of_a_plan_do_not_start() {
     let start = |plan: &NodePlan| PlannedServices::<2, 4, 2, 4>::planned(plan, Instant::EPOCH).err();
     assert_eq!(start(&sealed), Some(StartError::Services));
     assert_eq!(start(&PLAN), Some(StartError::NoSync), "that plan has no clock");
+}
+
+#[test]
+fn services_that_only_follow_do_not_start_with_a_rank() {
+    let start = |rank| {
+        let plan = NodePlan { sync: Some(SyncConfig { rank, ..SyncConfig::DEFAULT }), ..PLAN };
+        FollowingServices::<2, 4, 2, 4>::planned(&plan, Instant::EPOCH).err()
+    };
+    assert_eq!(start(Some(Rank::FIRST)), Some(StartError::Sync(SyncConfigError::Rank)));
+    assert_eq!(start(None), None);
 }

@@ -17,7 +17,8 @@ impl<
     B: Hosted,
     const ADMISSIONS: usize,
     const SEALABLE: bool,
-> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE>
+    const CANDIDATE: bool,
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE>
 {
     /// Where a soft real-time channel stands that this node has announced and the plan does not know; `None` for any other.
     pub fn admission_of(&self, subject: Subject) -> Option<AdmissionState> {

@@ -38,7 +38,8 @@ struct KnownChannel {
 /// `CHANNELS` as in [`EventHalf`](crate::EventHalf); `DECLARATIONS` is twice that, for both sides of each;
 /// `PEERS` are the other nodes that it keeps track of, and `INTERESTS` what they want and offer. `ADMISSIONS` are the soft
 /// real-time channels that it asks for because the plan does not know them. A node that is not `SEALABLE` takes no part in a
-/// sealed cluster: it is silent there. An image has no code for what is zero or not: see [`PlannedServices`].
+/// sealed cluster: it is silent there. One that is no `CANDIDATE` never becomes time master. An image has no code for what is
+/// zero or not: see [`PlannedServices`] and [`FollowingServices`].
 ///
 /// Every call is O(`CHANNELS` + `PEERS` + `INTERESTS`), and what the broker needs; but [`Services::poll`] and
 /// [`Services::next_wakeup`] are O(1) while nothing is to be done, for they are called after each event of
@@ -52,8 +53,9 @@ pub struct NodeServices<
     B = (),
     const ADMISSIONS: usize = CHANNELS,
     const SEALABLE: bool = true,
+    const CANDIDATE: bool = true,
 > {
-    clock: ClockService,
+    clock: ClockService<CANDIDATE>,
     configuration: Configuration,
     binding: Binding<CHANNELS>,
     wanted: [Option<KnownChannel>; CHANNELS],
@@ -83,6 +85,14 @@ pub type PlannedServices<
     const INTERESTS: usize,
 > = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, false>;
 
+/// As [`PlannedServices`], of a node that never becomes time master: its rank in the plan is `"never"`.
+pub type FollowingServices<
+    const CHANNELS: usize,
+    const DECLARATIONS: usize,
+    const PEERS: usize,
+    const INTERESTS: usize,
+> = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, false, false>;
+
 impl<
     const CHANNELS: usize,
     const DECLARATIONS: usize,
@@ -91,7 +101,8 @@ impl<
     B: Hosted,
     const ADMISSIONS: usize,
     const SEALABLE: bool,
-> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE>
+    const CANDIDATE: bool,
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE>
 {
     /// Services that start now.
     ///
@@ -150,7 +161,7 @@ impl<
     }
 
     /// The clock.
-    pub const fn clock(&self) -> &ClockService {
+    pub const fn clock(&self) -> &ClockService<CANDIDATE> {
         &self.clock
     }
 
@@ -328,9 +339,11 @@ impl<
     B: Hosted,
     const ADMISSIONS: usize,
     const SEALABLE: bool,
-> Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE>
+    const CANDIDATE: bool,
+> Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE>
 {
     const WATCHES_EVENTS: bool = B::WATCHES_EVENTS;
+    const SENDS_URGENT: bool = CANDIDATE;
     const GIVES_TX_NODE: bool = true;
 
     fn on_event(&mut self, id: Id, received_at: Instant) {

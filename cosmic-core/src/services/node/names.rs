@@ -18,7 +18,8 @@ impl<
     B: Hosted,
     const ADMISSIONS: usize,
     const SEALABLE: bool,
-> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE>
+    const CANDIDATE: bool,
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE>
 {
     fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
         self.clock.set_tx_node(tx_node);

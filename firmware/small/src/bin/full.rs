@@ -2,7 +2,7 @@
 #![no_std]
 #![no_main]
 
-use cosmic_core::services::PlannedServices;
+use cosmic_core::services::FollowingServices;
 use small::plan::{channels::angle, nodes::full::NODE};
 use small::*;
 
@@ -19,7 +19,7 @@ pub struct Full;
 impl System for Full {
     type Board = Stm32F405;
     type Capacity = Room;
-    type Services = PlannedServices<8, 16, 4, 8>;
+    type Services = FollowingServices<8, 16, 4, 8>;
     type Observer = ();
 }
 

@@ -2,7 +2,7 @@
 #![no_std]
 #![no_main]
 
-use cosmic_core::services::{News, PlannedServices};
+use cosmic_core::services::{FollowingServices, News};
 use cosmic_rtic::Log;
 use small::plan::{channels::torque, nodes::full_logs::NODE};
 use small::*;
@@ -17,7 +17,7 @@ pub struct Full;
 impl System for Full {
     type Board = Stm32F405;
     type Capacity = Room;
-    type Services = PlannedServices<8, 16, 4, 8>;
+    type Services = FollowingServices<8, 16, 4, 8>;
     type Observer = Log;
 }
 
