@@ -1,6 +1,6 @@
 //! A small first-in first-out queue.
 
-/// Up to `N` values in the order of their arrival.
+/// Up to `N` values in the order of their arrival; of none it is never more than empty.
 #[derive(Clone, Debug)]
 pub(crate) struct Ring<T: Copy, const N: usize> {
     slots: [Option<T>; N],
@@ -10,7 +10,6 @@ pub(crate) struct Ring<T: Copy, const N: usize> {
 
 impl<T: Copy, const N: usize> Ring<T, N> {
     pub(crate) const fn new() -> Self {
-        const { assert!(N > 0, "a queue needs room for at least one value") };
         Self { slots: [None; N], first: 0, len: 0 }
     }
 
@@ -24,7 +23,7 @@ impl<T: Copy, const N: usize> Ring<T, N> {
     #[must_use]
     #[expect(clippy::arithmetic_side_effects, reason = "positions below `N`, which is not zero")]
     pub(crate) fn push(&mut self, value: T) -> bool {
-        if self.len == N {
+        if N == 0 || self.len == N {
             return false;
         }
         if let Some(slot) = self.slots.get_mut((self.first + self.len) % N) {

@@ -94,7 +94,8 @@ impl<
     const ADMISSIONS: usize,
     const SEALABLE: bool,
     const CANDIDATE: bool,
-> Timed for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE>
+    const NEWS: usize,
+> Timed for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
 {
     fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
         if node.seal.is_some() && !SEALABLE {

@@ -18,7 +18,8 @@ impl<
     const ADMISSIONS: usize,
     const SEALABLE: bool,
     const CANDIDATE: bool,
-> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE>
+    const NEWS: usize,
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
 {
     /// Where a soft real-time channel stands that this node has announced and the plan does not know; `None` for any other.
     pub fn admission_of(&self, subject: Subject) -> Option<AdmissionState> {

@@ -38,8 +38,9 @@ struct KnownChannel {
 /// `CHANNELS` as in [`EventHalf`](crate::EventHalf); `DECLARATIONS` is twice that, for both sides of each;
 /// `PEERS` are the other nodes that it keeps track of, and `INTERESTS` what they want and offer. `ADMISSIONS` are the soft
 /// real-time channels that it asks for because the plan does not know them. A node that is not `SEALABLE` takes no part in a
-/// sealed cluster: it is silent there. One that is no `CANDIDATE` never becomes time master. An image has no code for what is
-/// zero or not: see [`PlannedServices`] and [`FollowingServices`].
+/// sealed cluster: it is silent there. One that is no `CANDIDATE` never becomes time master. `NEWS` are kept until the
+/// application fetches them; of none nothing is told. An image has no code for what is zero or not: see [`PlannedServices`] and
+/// [`FollowingServices`].
 ///
 /// Every call is O(`CHANNELS` + `PEERS` + `INTERESTS`), and what the broker needs; but [`Services::poll`] and
 /// [`Services::next_wakeup`] are O(1) while nothing is to be done, for they are called after each event of
@@ -54,6 +55,7 @@ pub struct NodeServices<
     const ADMISSIONS: usize = CHANNELS,
     const SEALABLE: bool = true,
     const CANDIDATE: bool = true,
+    const NEWS: usize = 16,
 > {
     clock: ClockService<CANDIDATE>,
     configuration: Configuration,
@@ -70,7 +72,7 @@ pub struct NodeServices<
     may_be_broker: bool,
     warden: Option<Warden>,
     requests: Ring<Request, 4>,
-    news: Ring<News, 16>,
+    news: Ring<News, NEWS>,
     news_dropped: u16,
     /// Nothing is to be done before this instant, if nothing happens. Any call from outside that changes
     /// something sets it back to the epoch.
@@ -83,7 +85,8 @@ pub type PlannedServices<
     const DECLARATIONS: usize,
     const PEERS: usize,
     const INTERESTS: usize,
-> = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, false>;
+    const NEWS: usize = 16,
+> = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, false, true, NEWS>;
 
 /// As [`PlannedServices`], of a node that never becomes time master: its rank in the plan is `"never"`.
 pub type FollowingServices<
@@ -91,7 +94,8 @@ pub type FollowingServices<
     const DECLARATIONS: usize,
     const PEERS: usize,
     const INTERESTS: usize,
-> = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, false, false>;
+    const NEWS: usize = 16,
+> = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, false, false, NEWS>;
 
 impl<
     const CHANNELS: usize,
@@ -102,7 +106,8 @@ impl<
     const ADMISSIONS: usize,
     const SEALABLE: bool,
     const CANDIDATE: bool,
-> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE>
+    const NEWS: usize,
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
 {
     /// Services that start now.
     ///
@@ -145,8 +150,9 @@ impl<
         })
     }
 
-    /// The oldest piece of news that has not been fetched. Sixteen are kept.
+    /// The oldest piece of news that has not been fetched. `NEWS` are kept.
     pub fn take_news(&mut self) -> Option<News> {
+        const { assert!(NEWS > 0, "services that keep no news have none to be fetched") };
         self.news.pop()
     }
 
@@ -220,7 +226,7 @@ impl<
     }
 
     fn tell(&mut self, news: News) {
-        if !self.news.push(news) {
+        if NEWS > 0 && !self.news.push(news) {
             self.news_dropped = self.news_dropped.saturating_add(1);
         }
     }
@@ -340,7 +346,8 @@ impl<
     const ADMISSIONS: usize,
     const SEALABLE: bool,
     const CANDIDATE: bool,
-> Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE>
+    const NEWS: usize,
+> Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
 {
     const WATCHES_EVENTS: bool = B::WATCHES_EVENTS;
     const SENDS_URGENT: bool = CANDIDATE;

@@ -19,7 +19,8 @@ impl<
     const ADMISSIONS: usize,
     const SEALABLE: bool,
     const CANDIDATE: bool,
-> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE>
+    const NEWS: usize,
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
 {
     fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
         self.clock.set_tx_node(tx_node);

@@ -19,7 +19,7 @@ pub struct Full;
 impl System for Full {
     type Board = Stm32F405;
     type Capacity = Room;
-    type Services = FollowingServices<8, 16, 4, 8>;
+    type Services = FollowingServices<8, 16, 4, 8, 0>;
     type Observer = ();
 }
 
