@@ -6,6 +6,7 @@ use cosmic_core::Capacity;
 use cosmic_core::can::ErrorCounters;
 use cosmic_core::event_half::HardAccess as _;
 use cosmic_core::plan::NodePlan;
+use cosmic_core::services::Services as _;
 use cosmic_core::time::Duration;
 
 use crate::board::{Board, BoardParts};
@@ -104,7 +105,7 @@ pub fn start_with<T: System>(
     let sieve: &'static Sieve = sieve;
     let hard = hard.start(<T::Capacity as Capacity>::BUFFERS);
     // Services whose time never changes do not tell it later.
-    Hard::new(hard).with(|buffers| T::Capacity::set_clock(buffers, services.clock()));
+    Hard::new(hard).with(|buffers| T::Capacity::set_clock(buffers, services.global_clock()));
     let tx_node = services.tx_node(plan);
     let ends = T::Capacity::split(queues);
     let BoardParts { hard: mailbox, soft, non_real_time, outcomes, urgent, other, status, changes, filters } =

@@ -54,9 +54,6 @@ pub trait Timed: Services + Sized {
     /// The plan lacks what they need.
     fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError>;
 
-    /// The clock of the cluster as of the last call.
-    fn clock(&self) -> GlobalClock;
-
     /// The TxNode with which the node starts, which the services may still have to claim; `None` if it asks for one.
     fn tx_node(&self, node: &NodePlan) -> Option<TxNode> {
         node.tx_node
@@ -103,10 +100,6 @@ impl<
         }
         let config = NodeConfig::planned(node).ok_or(StartError::NoSync)?;
         Self::new(&config, node.calendar, B::planned(node), now).map_err(StartError::Sync)
-    }
-
-    fn clock(&self) -> GlobalClock {
-        self.clock().clock()
     }
 
     fn tx_node(&self, _: &NodePlan) -> Option<TxNode> {
@@ -163,10 +156,6 @@ impl Timed for ClockService {
         let new = Self::new(config, node.calendar, Some(tx_node), now).map_err(StartError::Sync)?;
         Ok(new.sealed(node.seal).admitting(node.admission, node.uid))
     }
-
-    fn clock(&self) -> GlobalClock {
-        self.clock()
-    }
 }
 
 /// A node that claims the TxNode of its plan, or asks the broker for one if the plan gives it none. It has no clock, and so
@@ -183,10 +172,6 @@ impl<const CHANNELS: usize> Timed for NamingService<CHANNELS> {
         })
     }
 
-    fn clock(&self) -> GlobalClock {
-        GlobalClock::unsynchronised()
-    }
-
     fn tx_node(&self, _: &NodePlan) -> Option<TxNode> {
         self.claimed()
     }
@@ -200,10 +185,6 @@ impl<const CHANNELS: usize> Timed for NamingService<CHANNELS> {
 impl Timed for () {
     fn planned(_: &NodePlan, _: Instant) -> Result<Self, StartError> {
         Ok(())
-    }
-
-    fn clock(&self) -> GlobalClock {
-        GlobalClock::free_running()
     }
 }
 
@@ -228,5 +209,5 @@ pub(crate) type Access<T> = Hard<Buffers<T>>;
 pub(crate) type Half<T> = <<T as System>::Capacity as Capacity>::Half<<T as System>::Services, Access<T>>;
 
 pub(crate) fn clock<T: System>(half: &Half<T>) -> GlobalClock {
-    half.services().clock()
+    half.services().global_clock()
 }

@@ -216,8 +216,9 @@ impl<
                     self.etch.recall(|outgoing| outgoing.tag == SERVICES && outgoing.frame == frame);
                 Ok(command)
             }
-            Request::Clock(clock) => {
+            Request::Clock => {
                 if SLOTS > 0 {
+                    let clock = self.services.global_clock();
                     self.hard.with(|buffers| buffers.set_clock(clock));
                 }
                 Ok(None)

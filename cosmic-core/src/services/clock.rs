@@ -1,23 +1,20 @@
 //! Clock synchronisation as a service of a node.
 
-use super::{Declaration, NodeView, Request, Services, TooMany};
+use super::{Declaration, NodeView, Request, Services, Timekeeper, TooMany};
 use crate::admission::AdmissionPlan;
 use crate::calendar::Calendar;
 use crate::can::{Frame, TxNode, TxNodes};
 use crate::event_layer::{AnnounceError, ExceptionKind, Gate};
 use crate::seal::{Refusals, Seal, Warden};
-use crate::sync::{ClockEvent, ClockSync, SyncConfig, SyncConfigError, SyncCounters};
+use crate::sync::{ClockEvent, SyncConfig, SyncConfigError};
 use crate::time::{Duration, GlobalClock, Instant};
 use crate::uid::{NodeUid, Subject};
 
-/// Clock synchronisation alone: for a cluster whose ids and etags are all fixed. `CANDIDATE` as in [`ClockSync`].
+/// Clock synchronisation alone: for a cluster whose ids and etags are all fixed. `CANDIDATE` as in
+/// [`ClockSync`](crate::sync::ClockSync).
 #[derive(Clone, Debug)]
 pub struct ClockService<const CANDIDATE: bool = true> {
-    sync: ClockSync<CANDIDATE>,
-    /// What the time-triggered half was told last.
-    told: Option<GlobalClock>,
-    inhibited: bool,
-    last_event: Option<ClockEvent>,
+    timekeeper: Timekeeper<CANDIDATE>,
     tx_node: Option<TxNode>,
     /// A frame with this node's own TxNode has arrived, and is to be told.
     duplicate: bool,
@@ -41,15 +38,10 @@ impl<const CANDIDATE: bool> ClockService<CANDIDATE> {
         tx_node: Option<TxNode>,
         now: Instant,
     ) -> Result<Self, SyncConfigError> {
-        let bit_time = calendar.segment().bit_rate.bit_time();
-        let config = SyncConfig { calendar_digest: calendar.digest(), bit_time, ..config };
-        let mut sync = ClockSync::new(config, now)?;
-        sync.set_tx_node(tx_node);
+        let mut timekeeper = Timekeeper::new(config, calendar, now)?;
+        timekeeper.set_tx_node(tx_node);
         Ok(Self {
-            sync,
-            told: None,
-            inhibited: false,
-            last_event: None,
+            timekeeper,
             tx_node,
             duplicate: false,
             tells_again_at: Instant::EPOCH,
@@ -80,59 +72,17 @@ impl<const CANDIDATE: bool> ClockService<CANDIDATE> {
 
     /// The clock as of the last call.
     pub const fn clock(&self) -> GlobalClock {
-        self.sync.clock()
-    }
-
-    /// Returns whether the node must keep silent, because its calendar is not that of the segment.
-    pub const fn is_inhibited(&self) -> bool {
-        self.inhibited
+        self.timekeeper.clock()
     }
 
     /// Returns whether this node is the master.
     pub const fn is_master(&self) -> bool {
-        self.sync.is_master()
-    }
-
-    /// The node has been given its TxNode, or lost it.
-    pub fn set_tx_node(&mut self, tx_node: Option<TxNode>) {
-        self.tx_node = tx_node;
-        self.sync.set_tx_node(tx_node);
-    }
-
-    /// A frame of the clock synchronisation has arrived.
-    pub(super) fn on_sync_frame(&mut self, frame: &Frame, received_at: Instant) {
-        self.sync.on_frame(frame, received_at);
-    }
-
-    /// The clock's part of [`Services::poll`].
-    pub(super) fn poll_sync(&mut self, now: Instant) -> Option<Request> {
-        if let Some(frame) = self.sync.poll(now) {
-            return Some(Request::SendUrgent(frame, now + self.sync.frame_lifetime()));
-        }
-        while let Some(event) = self.sync.poll_event() {
-            self.last_event = Some(event);
-        }
-        let clock = self.sync.clock();
-        if self.told != Some(clock) {
-            self.told = Some(clock);
-            return Some(Request::Clock(clock));
-        }
-        let mismatch = self.sync.has_calendar_mismatch();
-        if self.inhibited != mismatch {
-            self.inhibited = mismatch;
-            return Some(Request::Inhibit(mismatch));
-        }
-        None
+        self.timekeeper.is_master()
     }
 
     /// The latest change of master, or what else happened to the clock; once.
-    pub fn take_event(&mut self) -> Option<ClockEvent> {
-        self.last_event.take()
-    }
-
-    /// What was sent, used, and dropped.
-    pub const fn counters(&self) -> &SyncCounters {
-        self.sync.counters()
+    pub const fn take_event(&mut self) -> Option<ClockEvent> {
+        self.timekeeper.take_event()
     }
 }
 
@@ -149,11 +99,11 @@ impl<const CANDIDATE: bool> Services for ClockService<CANDIDATE> {
             self.duplicate = true;
             self.tells_again_at = received_at + DUPLICATES_TOLD_EVERY;
         }
-        self.on_sync_frame(frame, received_at);
+        self.timekeeper.on_frame(frame, received_at);
     }
 
     fn on_sent(&mut self, frame: &Frame, sent_at: Instant) {
-        self.sync.on_sent(frame, sent_at);
+        self.timekeeper.on_sent(frame, sent_at);
     }
 
     fn permits(&self, declaration: &Declaration) -> Result<Gate, AnnounceError> {
@@ -181,11 +131,15 @@ impl<const CANDIDATE: bool> Services for ClockService<CANDIDATE> {
         if core::mem::take(&mut self.duplicate) {
             return Some(Request::Exception(None, ExceptionKind::DuplicateTxNode));
         }
-        self.poll_sync(now)
+        self.timekeeper.poll(now)
     }
 
     fn next_wakeup(&self) -> Instant {
-        self.sync.next_wakeup()
+        self.timekeeper.next_wakeup()
+    }
+
+    fn global_clock(&self) -> GlobalClock {
+        self.timekeeper.clock()
     }
 
     fn poll_urgent(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
@@ -193,7 +147,7 @@ impl<const CANDIDATE: bool> Services for ClockService<CANDIDATE> {
     }
 
     fn next_urgent_wakeup(&self) -> Instant {
-        self.sync.next_wakeup()
+        self.timekeeper.next_wakeup()
     }
 }
 

@@ -10,12 +10,14 @@ mod config;
 mod hosted;
 mod naming;
 mod node;
+mod timekeeper;
 
 pub use clock::ClockService;
 pub use config::{News, NodeConfig};
 pub use hosted::{AdmittingBroker, Hosted};
 pub use naming::NamingService;
 pub use node::{FollowingServices, NodeServices, PlannedServices};
+pub use timekeeper::Timekeeper;
 
 use crate::admission::Offer;
 use crate::can::{ErrorCounters, Etag, Frame, Id, TxNode, TxNodes};
@@ -35,8 +37,8 @@ pub enum Request {
     Send(Frame),
     /// Withdraw the frame, if it has not been sent.
     Withdraw(Frame),
-    /// Copy these parameters of the clock to the time-triggered half.
-    Clock(GlobalClock),
+    /// Copy the clock, which has changed, to the time-triggered half.
+    Clock,
     /// Keep silent in hard real-time slots, or speak again: the calendar is not that of the segment.
     Inhibit(bool),
     /// This is the node's TxNode from now on.
@@ -137,6 +139,8 @@ pub trait Services {
     fn poll(&mut self, now: Instant, view: &NodeView) -> Option<Request>;
     /// When something is to be done, if no frame comes before.
     fn next_wakeup(&self) -> Instant;
+    /// The clock of the cluster as of the last call.
+    fn global_clock(&self) -> GlobalClock;
     /// As [`poll`](Self::poll), but without any [`Request::Send`]: there is no room for it.
     fn poll_urgent(&mut self, now: Instant, view: &NodeView) -> Option<Request> {
         let _ = (now, view);
@@ -166,5 +170,9 @@ impl Services for () {
 
     fn next_wakeup(&self) -> Instant {
         Instant::FAR_FUTURE
+    }
+
+    fn global_clock(&self) -> GlobalClock {
+        GlobalClock::free_running()
     }
 }

@@ -7,7 +7,7 @@ use crate::client::{
 };
 use crate::event_layer::ExceptionKind;
 use crate::protocol::Output;
-use crate::time::Instant;
+use crate::time::{GlobalClock, Instant};
 use crate::uid::{NodeUid, Subject};
 
 /// Configuration and binding: for a small node that publishes and subscribes, and has no clock.
@@ -124,6 +124,10 @@ impl<const CHANNELS: usize> Services for NamingService<CHANNELS> {
             Output::Withdraw(frame) => Request::Withdraw(frame),
             Output::Event(event) => self.on_binding(event),
         })
+    }
+
+    fn global_clock(&self) -> GlobalClock {
+        GlobalClock::unsynchronised()
     }
 
     fn next_wakeup(&self) -> Instant {

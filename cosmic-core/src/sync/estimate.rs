@@ -98,8 +98,8 @@ pub(super) struct Estimate {
     now: Point,
     /// In units of 2⁻³².
     rate: Interval,
-    /// Earlier points; the one after the newest is the oldest.
-    earlier: [Option<Point>; WINDOW],
+    /// Earlier points; the one after the newest is the oldest. At first they are all the same.
+    earlier: [Point; WINDOW],
     newest: usize,
 }
 
@@ -109,16 +109,15 @@ impl Estimate {
         // A nanosecond each for the rounding of the two stamps and for the drift while they were taken.
         let stamp_error = i64::try_from(config.stamp_error.as_ticks()).unwrap_or(i64::MAX).saturating_add(3);
         let limit = i64::from(config.rate_limit());
+        let now =
+            Point { at: received_at, offset: Interval::around(offset(received_at, sent_at), stamp_error) };
         Self {
             stamp_error,
             rate_limit: limit,
             rate_change: config.max_rate_change,
-            now: Point {
-                at: received_at,
-                offset: Interval::around(offset(received_at, sent_at), stamp_error),
-            },
+            now,
             rate: Interval::around(0, limit),
-            earlier: [None; WINDOW],
+            earlier: [now; WINDOW],
             newest: 0,
         }
     }
@@ -127,6 +126,7 @@ impl Estimate {
     pub(super) fn exact(config: &SyncConfig, at: Instant, clock: &GlobalClock) -> Self {
         let mut estimate = Self::new(config, at, clock.to_global(at));
         estimate.now.offset = Interval::around(offset(at, clock.to_global(at)), 1);
+        estimate.earlier = [estimate.now; WINDOW];
         estimate.rate = Interval::around(clock.rate().fraction().into(), 0);
         estimate
     }
@@ -147,14 +147,14 @@ impl Estimate {
         let offset = predicted.now.offset.intersection(measured).ok_or(Implausible)?;
         let now = Point { at: received_at, offset };
         let mut rate = predicted.rate;
-        for seen in [Some(self.now)].iter().chain(&self.earlier).flatten() {
+        for seen in [self.now].iter().chain(&self.earlier) {
             if let Some(bounds) = seen.rate_at(&now, self.rate_change) {
                 rate = rate.intersection(bounds).ok_or(Implausible)?;
             }
         }
         self.newest = (self.newest + 1) % WINDOW;
         if let Some(oldest) = self.earlier.get_mut(self.newest) {
-            *oldest = Some(self.now);
+            *oldest = self.now;
         }
         self.now = now;
         self.rate = rate;
@@ -168,7 +168,7 @@ impl Estimate {
         moved.now.offset = moved.now.offset.widened(i64::try_from(distance.as_ticks()).ok()?);
         moved.rate = moved.rate.widened(rate_error.into()).intersection(self.any_rate())?;
         // Their offsets are those of the old scale.
-        moved.earlier = [None; WINDOW];
+        moved.earlier = [moved.now; WINDOW];
         Some(moved)
     }
 

@@ -236,7 +236,8 @@ impl<const CANDIDATE: bool> ClockSync<CANDIDATE> {
         let distance = pair.message.accuracy;
         let in_handover = !distance.is_zero();
         let more_rate = if in_handover { self.config.takeover_rate_error() } else { 0 };
-        self.clock = following.estimate.clock(distance, more_rate, valid_until);
+        let clock = following.estimate.clock(distance, more_rate, valid_until);
+        self.set_clock(clock);
         self.compare_calendars(pair);
     }
 

@@ -50,7 +50,7 @@
 //! Hand every received sync and follow-up frame to [`ClockSync::on_frame`] with its time-stamp, and every
 //! transmitted one to [`ClockSync::on_sent`]. After either, and at [`ClockSync::next_wakeup`], call
 //! [`ClockSync::poll`] until it returns `None`, and send the frames in that order; then fetch the events
-//! and copy [`ClockSync::clock`] to where it is used. Calls may be late; a late one delays the frames,
+//! and, after a [change](ClockSync::take_change), copy [`ClockSync::clock`] to where it is used. Calls may be late; a late one delays the frames,
 //! nothing else. All work is constant but that of a pair, which is linear in a window of eight points.
 
 mod config;
@@ -99,6 +99,8 @@ pub struct ClockSync<const CANDIDATE: bool = true> {
     tx_node: Option<TxNode>,
     role: Standing,
     clock: GlobalClock,
+    /// It is another one than its owner knows.
+    changed: bool,
     /// When this node becomes master, unless a pair comes before; it takes a while to compute.
     takeover_at: Instant,
     /// Before this, somebody may still continue the time scale that this node has given up.
@@ -143,6 +145,7 @@ impl<const CANDIDATE: bool> ClockSync<CANDIDATE> {
             tx_node: None,
             role: Standing::Listening { since: now },
             clock: GlobalClock::unsynchronised(),
+            changed: true,
             takeover_at: Instant::FAR_FUTURE,
             given_up_until: Instant::EPOCH,
             last_sequence: SyncSequence::new(u8::MAX),
@@ -176,6 +179,11 @@ impl<const CANDIDATE: bool> ClockSync<CANDIDATE> {
     /// The clock as of the last call. Valid until the next call to any other method that changes it.
     pub const fn clock(&self) -> GlobalClock {
         self.clock
+    }
+
+    /// Returns whether the clock has become another one since the last call.
+    pub const fn take_change(&mut self) -> bool {
+        core::mem::replace(&mut self.changed, false)
     }
 
     /// Returns whether this node is the master.
@@ -256,6 +264,7 @@ impl<const CANDIDATE: bool> ClockSync<CANDIDATE> {
         let Standing::Master(mastership) = &mut self.role else { return None };
         if mastership.end_handover(now, tx_node) {
             self.clock = self.clock.with_uncertainty(Uncertainty::NONE);
+            self.changed = true;
         }
         if let Some(follow_up) = mastership.take_follow_up() {
             return Some(follow_up.encode(tx_node));
@@ -320,7 +329,7 @@ impl<const CANDIDATE: bool> ClockSync<CANDIDATE> {
         if mastership.is_unheard(now, self.config.loss_time_out()) {
             self.last_sequence = mastership.sequence();
             self.role = Standing::Listening { since: now };
-            self.clock = self.clock.with_uncertainty(Uncertainty::COMPLETE);
+            self.set_clock(self.clock.with_uncertainty(Uncertainty::COMPLETE));
             self.schedule_takeover();
             self.tell(ClockEvent::Isolated);
         }
@@ -371,7 +380,7 @@ impl<const CANDIDATE: bool> ClockSync<CANDIDATE> {
             _ => None,
         };
         let (clock, predecessor) = continued.unwrap_or_else(|| (self.new_time_scale(now), tx_node));
-        self.clock = clock;
+        self.set_clock(clock);
         self.role = Standing::Master(Mastership::new(
             now,
             self.last_sequence,
@@ -403,9 +412,14 @@ impl<const CANDIDATE: bool> ClockSync<CANDIDATE> {
             return;
         }
         let last = mastership.sequence();
-        self.clock = GlobalClock::new(now, GlobalInstant::EPOCH, Rate::ZERO, Uncertainty::COMPLETE);
+        self.set_clock(GlobalClock::new(now, GlobalInstant::EPOCH, Rate::ZERO, Uncertainty::COMPLETE));
         self.role = Standing::Master(Mastership::new(now, last, tx_node, now + self.config.handover()));
         self.tell(ClockEvent::Exhausted);
+    }
+
+    fn set_clock(&mut self, clock: GlobalClock) {
+        self.clock = clock;
+        self.changed = true;
     }
 
     fn tell(&mut self, event: ClockEvent) {

@@ -35,15 +35,15 @@ impl Services for Namer {
     fn next_wakeup(&self) -> Instant {
         Instant::FAR_FUTURE
     }
+
+    fn global_clock(&self) -> GlobalClock {
+        GlobalClock::free_running()
+    }
 }
 
 impl Timed for Namer {
     fn planned(_: &NodePlan, _: Instant) -> Result<Self, StartError> {
         Ok(Self(VecDeque::new()))
-    }
-
-    fn clock(&self) -> GlobalClock {
-        GlobalClock::free_running()
     }
 }
 

@@ -5,7 +5,7 @@ mod names;
 
 use names::configuration_of;
 
-use super::{Declaration, Hosted, News, NodeConfig, NodeView, Request, Services, TooMany};
+use super::{Declaration, Hosted, News, NodeConfig, NodeView, Request, Services, Timekeeper, TooMany};
 use crate::admission::AdmissionPlan;
 use crate::calendar::Calendar;
 use crate::can::{Etag, Frame, Id, Priority, TxNode, TxNodes};
@@ -15,9 +15,8 @@ use crate::membership::{Declarations, Health, Interests, MemberEvent, Members, S
 use crate::protocol::{Class, LayoutHash, NodeState, Output, ResetCause, Side};
 use crate::ring::Ring;
 use crate::seal::{Contradiction, Refusals, Warden};
-use crate::services::ClockService;
 use crate::sync::SyncConfigError;
-use crate::time::{Duration, Instant};
+use crate::time::{Duration, GlobalClock, Instant};
 use crate::uid::{NodeUid, Subject};
 
 /// A channel of this node, as far as the services are concerned.
@@ -57,7 +56,7 @@ pub struct NodeServices<
     const CANDIDATE: bool = true,
     const NEWS: usize = 16,
 > {
-    clock: ClockService<CANDIDATE>,
+    clock: Timekeeper<CANDIDATE>,
     configuration: Configuration,
     binding: Binding<CHANNELS>,
     wanted: [Option<KnownChannel>; CHANNELS],
@@ -130,7 +129,7 @@ impl<
         }
         let silence = Duration::from_ticks(status_period.as_ticks().saturating_mul(7) / 2);
         Ok(Self {
-            clock: ClockService::new(config.clock, calendar, None, now)?,
+            clock: Timekeeper::new(config.clock, calendar, now)?,
             configuration,
             binding: Binding::new(uid.get() ^ noise, config.binding),
             wanted: [None; CHANNELS],
@@ -167,7 +166,7 @@ impl<
     }
 
     /// The clock.
-    pub const fn clock(&self) -> &ClockService<CANDIDATE> {
+    pub const fn clock(&self) -> &Timekeeper<CANDIDATE> {
         &self.clock
     }
 
@@ -347,7 +346,8 @@ impl<
     const SEALABLE: bool,
     const CANDIDATE: bool,
     const NEWS: usize,
-> Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
+> Services
+    for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
 {
     const WATCHES_EVENTS: bool = B::WATCHES_EVENTS;
     const SENDS_URGENT: bool = CANDIDATE;
@@ -367,7 +367,7 @@ impl<
         }
         self.configuration.on_frame(frame, received_at);
         match frame.id.etag() {
-            Etag::SYNC | Etag::FOLLOW_UP => return self.clock.on_sync_frame(frame, received_at),
+            Etag::SYNC | Etag::FOLLOW_UP => return self.clock.on_frame(frame, received_at),
             Etag::NODE_STATUS => {
                 if let Some(event) = self.members.on_frame(frame, received_at) {
                     self.on_member(event, received_at);
@@ -455,7 +455,7 @@ impl<
         }
         self.declare_changed(now);
         let request = (self.poll_configuration(now))
-            .or_else(|| self.clock.poll_sync(now))
+            .or_else(|| self.clock.poll(now))
             .or_else(|| self.poll_binding(now))
             .or_else(|| self.poll_broker(now))
             .or_else(|| self.poll_membership(now, view))
@@ -474,9 +474,13 @@ impl<
         if self.idle_until > Instant::EPOCH { self.idle_until } else { self.due_at() }
     }
 
+    fn global_clock(&self) -> GlobalClock {
+        self.clock.clock()
+    }
+
     fn poll_urgent(&mut self, now: Instant, _: &NodeView) -> Option<Request> {
         self.idle_until = Instant::EPOCH;
-        let request = self.clock.poll_sync(now);
+        let request = self.clock.poll(now);
         if let Some(event) = self.clock.take_event() {
             self.tell(News::Clock(event));
         }
