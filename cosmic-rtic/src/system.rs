@@ -89,13 +89,13 @@ impl<
     const INTERESTS: usize,
     B: PlannedHost,
     const ADMISSIONS: usize,
-    const SEALABLE: bool,
+    const SEALS: usize,
     const CANDIDATE: bool,
     const NEWS: usize,
-> Timed for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
+> Timed for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALS, CANDIDATE, NEWS>
 {
     fn planned(node: &NodePlan, now: Instant) -> Result<Self, StartError> {
-        if node.seal.is_some() && !SEALABLE {
+        if node.seal.is_some() && SEALS == 0 {
             return Err(StartError::Services);
         }
         let config = NodeConfig::planned(node).ok_or(StartError::NoSync)?;

@@ -16,10 +16,10 @@ impl<
     const INTERESTS: usize,
     B: Hosted,
     const ADMISSIONS: usize,
-    const SEALABLE: bool,
+    const SEALS: usize,
     const CANDIDATE: bool,
     const NEWS: usize,
-> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALS, CANDIDATE, NEWS>
 {
     /// Where a soft real-time channel stands that this node has announced and the plan does not know; `None` for any other.
     pub fn admission_of(&self, subject: Subject) -> Option<AdmissionState> {

@@ -36,7 +36,7 @@ struct KnownChannel {
 ///
 /// `CHANNELS` as in [`EventHalf`](crate::EventHalf); `DECLARATIONS` is twice that, for both sides of each;
 /// `PEERS` are the other nodes that it keeps track of, and `INTERESTS` what they want and offer. `ADMISSIONS` are the soft
-/// real-time channels that it asks for because the plan does not know them. A node that is not `SEALABLE` takes no part in a
+/// real-time channels that it asks for because the plan does not know them. A node without `SEALS` takes no part in a
 /// sealed cluster: it is silent there. One that is no `CANDIDATE` never becomes time master. `NEWS` are kept until the
 /// application fetches them; of none nothing is told. An image has no code for what is zero or not: see [`PlannedServices`] and
 /// [`FollowingServices`].
@@ -52,7 +52,7 @@ pub struct NodeServices<
     const INTERESTS: usize,
     B = (),
     const ADMISSIONS: usize = CHANNELS,
-    const SEALABLE: bool = true,
+    const SEALS: usize = 1,
     const CANDIDATE: bool = true,
     const NEWS: usize = 16,
 > {
@@ -69,7 +69,7 @@ pub struct NodeServices<
     broker: B,
     /// The plan does not keep this node from it.
     may_be_broker: bool,
-    warden: Option<Warden>,
+    warden: [Option<Warden>; SEALS],
     requests: Ring<Request, 4>,
     news: Ring<News, NEWS>,
     news_dropped: u16,
@@ -85,7 +85,7 @@ pub type PlannedServices<
     const PEERS: usize,
     const INTERESTS: usize,
     const NEWS: usize = 16,
-> = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, false, true, NEWS>;
+> = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, 0, true, NEWS>;
 
 /// As [`PlannedServices`], of a node that never becomes time master: its rank in the plan is `"never"`.
 pub type FollowingServices<
@@ -94,7 +94,7 @@ pub type FollowingServices<
     const PEERS: usize,
     const INTERESTS: usize,
     const NEWS: usize = 16,
-> = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, false, false, NEWS>;
+> = NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, (), 0, 0, false, NEWS>;
 
 impl<
     const CHANNELS: usize,
@@ -103,10 +103,10 @@ impl<
     const INTERESTS: usize,
     B: Hosted,
     const ADMISSIONS: usize,
-    const SEALABLE: bool,
+    const SEALS: usize,
     const CANDIDATE: bool,
     const NEWS: usize,
-> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALS, CANDIDATE, NEWS>
 {
     /// Services that start now.
     ///
@@ -120,8 +120,8 @@ impl<
     ) -> Result<Self, SyncConfigError> {
         const { assert!(DECLARATIONS >= 2 * CHANNELS, "two declarations for each channel") };
         let &NodeConfig { uid, noise, status_period, .. } = config;
-        let configuration = configuration_of::<SEALABLE>(config, calendar, now);
-        let mut warden = config.seal.filter(|_| SEALABLE).map(Warden::new);
+        let configuration = configuration_of::<SEALS>(config, calendar, now);
+        let mut warden = config.seal.filter(|_| SEALS > 0).map(Warden::new);
         if let Some(warden) = warden.as_mut().filter(|warden| warden.seal().node_of(uid).is_none()) {
             // The node itself: it has no id, and the one of the broker stands in.
             let id = Id::new(Priority::CONFIGURATION, TxNode::BROKER, Etag::NODE_IDENTITY);
@@ -140,8 +140,8 @@ impl<
             admission: AdmissionClient::new(uid.get() ^ noise, config.admission_timing),
             admission_plan: config.admission.map(|plan| (plan, uid)),
             broker,
-            may_be_broker: config.seal.is_none_or(|seal| SEALABLE && seal.may_be_broker(uid)),
-            warden,
+            may_be_broker: config.seal.is_none_or(|seal| SEALS > 0 && seal.may_be_broker(uid)),
+            warden: core::array::from_fn(|_| warden.take()),
             requests: Ring::new(),
             news: Ring::new(),
             news_dropped: 0,
@@ -217,11 +217,11 @@ impl<
     }
 
     fn warden(&self) -> Option<&Warden> {
-        if SEALABLE { self.warden.as_ref() } else { None }
+        self.warden.first()?.as_ref()
     }
 
     fn warden_mut(&mut self) -> Option<&mut Warden> {
-        if SEALABLE { self.warden.as_mut() } else { None }
+        self.warden.first_mut()?.as_mut()
     }
 
     fn tell(&mut self, news: News) {
@@ -343,11 +343,10 @@ impl<
     const INTERESTS: usize,
     B: Hosted,
     const ADMISSIONS: usize,
-    const SEALABLE: bool,
+    const SEALS: usize,
     const CANDIDATE: bool,
     const NEWS: usize,
-> Services
-    for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
+> Services for NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALS, CANDIDATE, NEWS>
 {
     const WATCHES_EVENTS: bool = B::WATCHES_EVENTS;
     const SENDS_URGENT: bool = CANDIDATE;

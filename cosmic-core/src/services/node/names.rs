@@ -17,10 +17,10 @@ impl<
     const INTERESTS: usize,
     B: Hosted,
     const ADMISSIONS: usize,
-    const SEALABLE: bool,
+    const SEALS: usize,
     const CANDIDATE: bool,
     const NEWS: usize,
-> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALABLE, CANDIDATE, NEWS>
+> NodeServices<CHANNELS, DECLARATIONS, PEERS, INTERESTS, B, ADMISSIONS, SEALS, CANDIDATE, NEWS>
 {
     fn set_tx_node(&mut self, now: Instant, tx_node: Option<TxNode>) {
         self.clock.set_tx_node(tx_node);
@@ -111,7 +111,7 @@ impl<
 }
 
 /// How a node gets its TxNode. One that a sealed plan does not know gets none, nor does one that cannot keep to the seal.
-pub(super) fn configuration_of<const SEALABLE: bool>(
+pub(super) fn configuration_of<const SEALS: usize>(
     config: &NodeConfig,
     calendar: &Calendar,
     now: Instant,
@@ -119,7 +119,7 @@ pub(super) fn configuration_of<const SEALABLE: bool>(
     let &NodeConfig { uid, noise, configuration: timing, .. } = config;
     let fixed = |tx_node| Configuration::fixed(now, uid, tx_node, noise, timing);
     match (config.seal, config.tx_node) {
-        (Some(seal), _) => match if SEALABLE { seal.node_of(uid) } else { None } {
+        (Some(seal), _) => match if SEALS > 0 { seal.node_of(uid) } else { None } {
             Some(node) => fixed(node.tx_node).on_duplicate(OnDuplicate::Stay),
             None => {
                 let mut silent = Configuration::new(now, uid, noise, timing);
