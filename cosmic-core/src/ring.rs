@@ -26,7 +26,7 @@ impl<T: Copy, const N: usize> Ring<T, N> {
         if N == 0 || self.len == N {
             return false;
         }
-        if let Some(slot) = self.slots.get_mut((self.first + self.len) % N) {
+        if let Some(slot) = self.slots.get_mut(Self::wrapped(self.first + self.len)) {
             *slot = Some(value);
             self.len += 1;
         }
@@ -37,9 +37,15 @@ impl<T: Copy, const N: usize> Ring<T, N> {
     #[expect(clippy::arithmetic_side_effects, reason = "positions below `N`, and it was not empty")]
     pub(crate) fn pop(&mut self) -> Option<T> {
         let value = self.slots.get_mut(self.first)?.take()?;
-        self.first = (self.first + 1) % N;
+        self.first = Self::wrapped(self.first + 1);
         self.len -= 1;
         Some(value)
+    }
+
+    /// `at` places behind the first of the array, which is less than twice its length.
+    #[expect(clippy::arithmetic_side_effects, reason = "which was asked")]
+    const fn wrapped(at: usize) -> usize {
+        if at < N { at } else { at - N }
     }
 
     /// Returns whether there is none.

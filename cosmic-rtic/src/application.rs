@@ -41,7 +41,7 @@ impl<C: Content> Publisher<C> {
     /// # Errors
     /// [`AnnounceError`]: a channel that is not in the plan of this node, mostly.
     pub fn announce<T: System>(
-        channel: &Channel<C>,
+        channel: &'static Channel<C>,
         node: &mut impl Mutex<T = Node<T>>,
     ) -> Result<Self, AnnounceError> {
         let publication = node.lock(|node| node.announce(channel))?;
@@ -96,7 +96,7 @@ impl<C: Content> Subscriber<C> {
     /// # Errors
     /// [`SubscribeError`]: a channel that is not in the plan, or no room.
     pub fn subscribe<T: System>(
-        channel: &Channel<C>,
+        channel: &'static Channel<C>,
         policy: Policy,
         node: &mut impl Mutex<T = Node<T>>,
     ) -> Result<Self, SubscribeError> {
@@ -108,7 +108,7 @@ impl<C: Content> Subscriber<C> {
     /// # Errors
     /// As [`subscribe`](Self::subscribe).
     pub fn subscribe_filtered<T: System>(
-        channel: &Channel<C>,
+        channel: &'static Channel<C>,
         filter: Filter,
         policy: Policy,
         node: &mut impl Mutex<T = Node<T>>,
@@ -198,7 +198,7 @@ pub async fn before_slot<T: System>(slot: &Slot, lead: Duration, node: &mut impl
 /// # Errors
 /// Only if the channel cannot be announced.
 pub async fn publish_in_slots<T, C, N>(
-    channel: &Channel<C>,
+    channel: &'static Channel<C>,
     slot: &Slot,
     lead: Duration,
     node: &mut N,
@@ -225,7 +225,7 @@ where
 /// # Errors
 /// Only if the channel cannot be announced.
 pub async fn publish_every<T, C, N>(
-    channel: &Channel<C>,
+    channel: &'static Channel<C>,
     period: Duration,
     node: &mut N,
     mut next: impl FnMut(&mut N) -> C,

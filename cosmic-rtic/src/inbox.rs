@@ -23,6 +23,9 @@ pub trait Queued: Capacity {
     /// The queues, before they are split.
     type Queues: Send + 'static;
 
+    /// Places for frames of the clock.
+    const URGENT: usize;
+
     /// Nothing waits.
     const EMPTY: Self::Queues;
 
@@ -40,9 +43,26 @@ impl<
     const FRAMES: usize,
     const OUTCOMES: usize,
     const NOTICES: usize,
-> Queued for Sizes<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, FRAMES, OUTCOMES, NOTICES>
+    const EXCEPTIONS: usize,
+    const URGENT: usize,
+> Queued
+    for Sizes<
+        SLOTS,
+        CHANNELS,
+        SUBSCRIPTIONS,
+        EVENTS,
+        SOFT,
+        NRT,
+        FRAMES,
+        OUTCOMES,
+        NOTICES,
+        EXCEPTIONS,
+        URGENT,
+    >
 {
-    type Queues = Queues<FRAMES, OUTCOMES, NOTICES>;
+    type Queues = Queues<FRAMES, OUTCOMES, NOTICES, URGENT>;
+
+    const URGENT: usize = URGENT;
 
     #[expect(clippy::declare_interior_mutable_const, reason = "what a static begins with")]
     const EMPTY: Self::Queues = Queues::new();
@@ -53,7 +73,7 @@ impl<
 }
 
 /// The queues, before they are split.
-pub struct Queues<const FRAMES: usize, const OUTCOMES: usize, const NOTICES: usize> {
+pub struct Queues<const FRAMES: usize, const OUTCOMES: usize, const NOTICES: usize, const URGENT: usize> {
     frames: Queue<Item, FRAMES>,
     urgent: Queue<Item, URGENT>,
     outcomes: Queue<Item, OUTCOMES>,
@@ -61,9 +81,6 @@ pub struct Queues<const FRAMES: usize, const OUTCOMES: usize, const NOTICES: usi
     counts: Counts,
     wake_calendar: Signal,
 }
-
-/// Frames of the urgent FIFO that wait: those of the clock. Hard real-time frames go into their buffers.
-const URGENT: usize = 4;
 
 /// Wakes the event task. The bits are the numbers of the queues in the inbox, and [`DUE`].
 pub(crate) struct Wake {
@@ -136,7 +153,9 @@ pub struct Ends {
     pub(crate) wake_calendar: &'static Signal,
 }
 
-impl<const FRAMES: usize, const OUTCOMES: usize, const NOTICES: usize> Queues<FRAMES, OUTCOMES, NOTICES> {
+impl<const FRAMES: usize, const OUTCOMES: usize, const NOTICES: usize, const URGENT: usize>
+    Queues<FRAMES, OUTCOMES, NOTICES, URGENT>
+{
     const fn new() -> Self {
         Self {
             frames: Queue::new(),
@@ -273,7 +292,7 @@ mod tests {
     #[test]
     fn what_comes_meanwhile_is_taken_in_its_order() {
         let Ends { mut frames, mut outcomes, mut inbox, wake, .. } =
-            Box::leak(Box::new(Queues::<8, 4, 4>::new())).split();
+            Box::leak(Box::new(Queues::<8, 4, 4, 4>::new())).split();
         assert_eq!(taken(&mut inbox, || ()), (false, Vec::new()));
         // The numbers stand for frames.
         frames.send(Input::Lost(1), NOW);
@@ -294,7 +313,7 @@ mod tests {
 
     #[test]
     fn what_is_lost_is_counted_and_due() {
-        let Ends { mut urgent, mut inbox, .. } = Box::leak(Box::new(Queues::<8, 4, 4>::new())).split();
+        let Ends { mut urgent, mut inbox, .. } = Box::leak(Box::new(Queues::<8, 4, 4, 4>::new())).split();
         (0..6).for_each(|number| urgent.send(Input::Lost(number), NOW));
         let (is_due, inputs) = taken(&mut inbox, || ());
         assert_eq!((is_due, inputs.len()), (true, 4));

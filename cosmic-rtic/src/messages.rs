@@ -66,7 +66,7 @@ impl<C: Content, const LEN: usize> MessagePublisher<C, LEN> {
     /// # Errors
     /// [`AnnounceError`]: a channel that is not in the plan of this node, mostly.
     pub fn announce<T: System, const PUBLISHERS: usize>(
-        channel: &MessageChannel<C, LEN, PUBLISHERS>,
+        channel: &'static MessageChannel<C, LEN, PUBLISHERS>,
         node: &mut impl Mutex<T = Node<T>>,
     ) -> Result<Self, AnnounceError> {
         let fragments = channel.fragments();
@@ -122,7 +122,7 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C,
     /// # Errors
     /// [`SubscribeError`]: a channel that is not in the plan, or no room.
     pub fn subscribe<T: System>(
-        channel: &MessageChannel<C, LEN, PUBLISHERS>,
+        channel: &'static MessageChannel<C, LEN, PUBLISHERS>,
         time_out: Duration,
         node: &mut impl Mutex<T = Node<T>>,
     ) -> Result<Self, SubscribeError> {
@@ -158,7 +158,7 @@ impl<C: Content, const LEN: usize, const PUBLISHERS: usize> MessageSubscriber<C,
 /// # Errors
 /// Only if the channel cannot be announced.
 pub async fn publish_message_every<T, C, N, const LEN: usize, const PUBLISHERS: usize>(
-    channel: &MessageChannel<C, LEN, PUBLISHERS>,
+    channel: &'static MessageChannel<C, LEN, PUBLISHERS>,
     period: Duration,
     node: &mut N,
     mut next: impl FnMut(&mut N) -> C,

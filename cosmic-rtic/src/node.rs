@@ -140,7 +140,7 @@ impl<T: System> Node<T> {
 
     pub(crate) fn announce<C: Content>(
         &mut self,
-        channel: &Channel<C>,
+        channel: &'static Channel<C>,
     ) -> Result<Publication<C>, AnnounceError> {
         let publication = self.half.announce(channel)?;
         self.tell_interest();
@@ -150,7 +150,7 @@ impl<T: System> Node<T> {
 
     pub(crate) fn subscribe<C: Content>(
         &mut self,
-        channel: &Channel<C>,
+        channel: &'static Channel<C>,
         filter: Filter,
         policy: Policy,
     ) -> Result<Subscription<C>, SubscribeError> {

@@ -101,6 +101,10 @@ pub fn start_with<T: System>(
     observer: T::Observer,
     calendar_observer: <T::Observer as Observer>::Calendar,
 ) -> Parts<T> {
+    const {
+        let is_heard = T::Services::HEARS_CLOCK;
+        assert!(T::Capacity::URGENT > 0 || !is_heard, "the frames of the clock need places");
+    };
     let Storage { queues, sieve, hard, half } = storage;
     let sieve: &'static Sieve = sieve;
     let hard = hard.start(<T::Capacity as Capacity>::BUFFERS);

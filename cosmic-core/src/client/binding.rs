@@ -8,7 +8,7 @@
 
 use crate::can::{Etag, Frame, TxNode};
 use crate::jitter::{Jitter, doubled};
-use crate::protocol::{Answer, GetEtag, Halves, Output, Probe, Supply, SupplyEtag};
+use crate::protocol::{Answer, GetEtag, Half, Output, Probe, SupplyEtag};
 use crate::time::{Duration, Instant};
 use crate::uid::Subject;
 
@@ -122,9 +122,10 @@ enum Untold {
 /// The request that is out.
 #[derive(Clone, Copy, Debug)]
 struct Asked {
-    subject: Subject,
-    frame: Frame,
+    request: GetEtag,
     until: Instant,
+    /// Nobody has fetched it yet.
+    is_unsent: bool,
 }
 
 /// The binding client of one node, for up to `N` subjects; its contract is that of [`crate::client`].
@@ -136,19 +137,20 @@ pub struct Binding<const N: usize> {
     tx_node: Option<TxNode>,
     timing: &'static BindingTiming,
     jitter: Jitter,
-    halves: Halves,
+    /// The broker's two halves of an answer follow each other: of one the second is still to come.
+    first_half: Option<SupplyEtag>,
     asked: Option<Asked>,
     /// The entry whose turn is next.
     turn: usize,
     failures: u8,
-    void: Option<Frame>,
-    send: Option<Frame>,
+    void: Option<GetEtag>,
     /// A probe is to be answered, but not before `claim_at`.
     probed: bool,
     claim_at: Instant,
     /// The entry whose binding is claimed next, after a probe.
     claim: Option<usize>,
-    second_half: Option<Frame>,
+    /// Of the one before it, the second half is still to be sent.
+    is_half_claimed: bool,
 }
 
 impl<const N: usize> Binding<N> {
@@ -161,16 +163,15 @@ impl<const N: usize> Binding<N> {
             tx_node: None,
             timing,
             jitter: Jitter::new(noise),
-            halves: Halves::new(),
+            first_half: None,
             asked: None,
             turn: 0,
             failures: 0,
             void: None,
-            send: None,
             probed: false,
             claim_at: Instant::EPOCH,
             claim: None,
-            second_half: None,
+            is_half_claimed: false,
         }
     }
 
@@ -179,7 +180,7 @@ impl<const N: usize> Binding<N> {
         if self.tx_node != tx_node {
             self.tx_node = tx_node;
             self.end_request();
-            (self.probed, self.claim, self.second_half) = (false, None, None);
+            (self.probed, self.claim, self.is_half_claimed) = (false, None, false);
         }
     }
 
@@ -216,7 +217,7 @@ impl<const N: usize> Binding<N> {
 
     /// The node no longer uses `subject`.
     pub fn forget(&mut self, subject: Subject) {
-        if self.asked.is_some_and(|asked| asked.subject == subject) {
+        if self.asked.is_some_and(|asked| asked.request.subject == subject) {
             self.end_request();
         }
         for place in &mut self.entries {
@@ -237,9 +238,9 @@ impl<const N: usize> Binding<N> {
     pub fn on_frame(&mut self, frame: &Frame, now: Instant) {
         match frame.id.etag() {
             Etag::SUPPLY_ETAG => {
-                let half = SupplyEtag::decode(frame);
-                if let Some(supply) = half.and_then(|half| self.halves.join(half)) {
-                    self.on_supply(now, supply);
+                // Other nodes' claims are for the broker.
+                if let Some(half) = SupplyEtag::decode(frame).filter(|half| !half.is_claim()) {
+                    self.on_half(now, half);
                 }
             }
             Etag::PROBE if Probe::decode(frame).is_some() && self.tx_node.is_some() => self.probed = true,
@@ -254,8 +255,8 @@ impl<const N: usize> Binding<N> {
             self.failures = self.failures.saturating_add(1);
             self.end_request();
         }
-        if let Some(frame) = self.void.take() {
-            return Some(Output::Withdraw(frame));
+        if let Some(request) = self.void.take() {
+            return Some(Output::Withdraw(request.encode()));
         }
         if let Some(event) = self.next_event() {
             return Some(Output::Event(event));
@@ -264,7 +265,12 @@ impl<const N: usize> Binding<N> {
         if self.asked.is_none() {
             self.ask_next(now, tx_node);
         }
-        self.send.take().or_else(|| self.next_claim(now, tx_node)).map(Output::Send)
+        if let Some(asked) = &mut self.asked
+            && core::mem::take(&mut asked.is_unsent)
+        {
+            return Some(Output::Send(asked.request.encode()));
+        }
+        self.next_claim(now, tx_node).map(Output::Send)
     }
 
     /// When `poll` must be called even if no frame arrives.
@@ -300,31 +306,36 @@ impl<const N: usize> Binding<N> {
         }))
     }
 
-    fn on_supply(&mut self, now: Instant, supply: Supply) {
-        // Other nodes' claims are for the broker.
-        if supply.sender != TxNode::BROKER {
-            return;
+    fn on_half(&mut self, now: Instant, half: SupplyEtag) {
+        if half.half() == Half::First {
+            self.first_half = Some(half);
+        } else if let Some(subject) = self.first_half.and_then(|first| first.joined(&half)) {
+            self.first_half = None;
+            self.on_supply(now, subject, half.requester(), half.answer());
         }
-        if self.asked.is_some_and(|asked| asked.subject == supply.subject) {
+    }
+
+    fn on_supply(&mut self, now: Instant, subject: Subject, requester: TxNode, answer: Answer) {
+        if self.asked.is_some_and(|asked| asked.request.subject == subject) {
             self.failures = 0;
-            if Some(supply.requester) == self.tx_node {
+            if Some(requester) == self.tx_node {
                 self.asked = None;
             } else {
                 self.end_request(); // answered already, before ours was sent
             }
         }
         let tell_again_at = now + self.timing.refused;
-        if let Answer::Bound(etag) = supply.answer {
+        if let Answer::Bound(etag) = answer {
             for entry in self.entries.iter_mut().flatten() {
-                entry.check_fixed(supply.subject, etag, now, tell_again_at);
-                if entry.subject != supply.subject {
+                entry.check_fixed(subject, etag, now, tell_again_at);
+                if entry.subject != subject {
                     entry.lose(etag);
                 }
             }
         }
         let until = now + self.jitter.around(self.timing.refused);
-        if let Some(entry) = self.entries.iter_mut().flatten().find(|entry| entry.subject == supply.subject) {
-            entry.take(supply.answer, until);
+        if let Some(entry) = self.entries.iter_mut().flatten().find(|entry| entry.subject == subject) {
+            entry.take(answer, until);
         }
     }
 
@@ -342,28 +353,30 @@ impl<const N: usize> Binding<N> {
         let Some(Some(entry)) = self.entries.get(at) else { return };
         let subject = entry.subject;
         self.turn = (at + 1) % N;
-        let frame = GetEtag { requester: tx_node, subject }.encode();
+        let request = GetEtag { requester: tx_node, subject };
         // Of many nodes that got no answer not all ask again at once.
         let patience = doubled(self.timing.reply, self.failures.min(5));
         let patience = if self.failures == 0 { patience } else { self.jitter.around(patience) };
-        self.asked = Some(Asked { subject, frame, until: now + patience });
-        self.send = Some(frame);
+        self.asked = Some(Asked { request, until: now + patience, is_unsent: true });
     }
 
     /// The request that is out, if any, has become void.
     fn end_request(&mut self) {
         if let Some(asked) = self.asked.take()
-            && self.send.take().is_none()
+            && !asked.is_unsent
         {
-            self.void = Some(asked.frame);
+            self.void = Some(asked.request);
         }
     }
 
     /// The next frame of an answer to a probe.
     #[expect(clippy::arithmetic_side_effects, reason = "a position below `N`")]
     fn next_claim(&mut self, now: Instant, tx_node: TxNode) -> Option<Frame> {
-        if let Some(second) = self.second_half.take() {
-            return Some(second);
+        if core::mem::take(&mut self.is_half_claimed)
+            && let Some(claimed) = self.claim.and_then(|next| self.bound_from(next.checked_sub(1)?))
+        {
+            let [_, second] = claimed.halves(tx_node);
+            return Some(second.encode());
         }
         // Twice at most: the end of one answer, and the begin of the next.
         loop {
@@ -375,18 +388,36 @@ impl<const N: usize> Binding<N> {
                 self.claim_at = now + self.timing.between_claims;
             }
             let from = self.claim.take().unwrap_or(0);
-            let bound = self.entries.iter().enumerate().skip(from).find_map(|(at, place)| {
-                let entry = place.as_ref()?;
-                let etag = entry.state.etag().filter(|etag| *etag >= Etag::BOUND_FIRST)?;
-                Some((at, entry.subject, etag))
-            });
-            if let Some((at, subject, etag)) = bound {
-                self.claim = Some(at + 1);
-                let [first, second] = SupplyEtag::pair(tx_node, tx_node, subject, Answer::Bound(etag));
-                self.second_half = Some(second.encode());
+            if let Some(bound) = self.bound_from(from) {
+                (self.claim, self.is_half_claimed) = (Some(bound.at + 1), true);
+                let [first, _] = bound.halves(tx_node);
                 return Some(first.encode());
             }
         }
+    }
+
+    /// The first entry from this place on that has an etag of a broker.
+    #[inline(never)]
+    fn bound_from(&self, from: usize) -> Option<Bound> {
+        self.entries.iter().enumerate().skip(from).find_map(|(at, place)| {
+            let entry = place.as_ref()?;
+            let etag = entry.state.etag().filter(|etag| *etag >= Etag::BOUND_FIRST)?;
+            Some(Bound { at, subject: entry.subject, etag })
+        })
+    }
+}
+
+/// A binding that this node uses.
+struct Bound {
+    at: usize,
+    subject: Subject,
+    etag: Etag,
+}
+
+impl Bound {
+    /// That this node claims it.
+    fn halves(&self, tx_node: TxNode) -> [SupplyEtag; 2] {
+        SupplyEtag::pair(tx_node, tx_node, self.subject, Answer::Bound(self.etag))
     }
 }
 

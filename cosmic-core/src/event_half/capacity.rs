@@ -5,14 +5,16 @@ use crate::calendar::Calendar;
 use crate::can::filter_banks::Wanted;
 use crate::can::{Frame, Mailbox, Outcome, Payload, TxNode};
 use crate::event_layer::{
-    AnnounceError, Channel, ChannelCounters, Content, Delivered, Event, Exception, ExceptionKind, Filter,
-    MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, SubscribeError, Subscription,
+    AnnounceError, Channel, ChannelCounters, Content, Declared, Delivered, Event, Exception, ExceptionKind,
+    Filter, MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, SubscribeError,
+    Subscription,
 };
 use crate::network::fragments::Message;
 use crate::network::hard::{self, Dispatcher, HrtBuffers};
 use crate::services::Services;
 use crate::time::{GlobalClock, Instant};
 use crate::uid::Subject;
+use core::borrow::Borrow;
 use core::task::{Poll, Waker};
 
 /// How much a node has room for, as one type: what [`capacity!`](crate::capacity) names, mostly for a plan.
@@ -64,8 +66,9 @@ pub trait Capacity: sealed::Sealed + 'static {
 }
 
 /// The [`Capacity`] with these numbers; [`capacity!`](crate::capacity) names them. What each is of stands at
-/// [`EventHalf`]. The last three follow from the others: what waits for a half whose task is not this one's, in a runtime
-/// that has queues for it. They are [`frames_waiting`], [`outcomes_waiting`] and [`notices_waiting`].
+/// [`EventHalf`]. `FRAMES`, `OUTCOMES` and `NOTICES` follow from the others: what waits for a half whose task is not this
+/// one's, in a runtime that has queues for it. They are [`frames_waiting`], [`outcomes_waiting`] and [`notices_waiting`].
+/// `URGENT` is the same of frames of the clock: [`URGENT_WAITING`], or none.
 #[derive(Debug)]
 pub struct Sizes<
     const SLOTS: usize,
@@ -77,6 +80,8 @@ pub struct Sizes<
     const FRAMES: usize,
     const OUTCOMES: usize,
     const NOTICES: usize,
+    const EXCEPTIONS: usize,
+    const URGENT: usize,
 >;
 
 /// Received frames that wait to be taken in, of a node with so many events that wait for the application: as many, and no
@@ -92,6 +97,18 @@ pub const fn frames_waiting(events: usize) -> usize {
 /// each; of hard real-time frames there are more if the event half is late. A power of two.
 pub const fn outcomes_waiting(slots: usize) -> usize {
     if slots == 0 { 2 } else { 8 }
+}
+
+/// Frames of the clock that wait to be taken in. Hard real-time frames go into their buffers.
+pub const URGENT_WAITING: usize = 4;
+
+/// What was stated, if anything was, before what is usual: the first of these.
+#[doc(hidden)]
+pub const fn stated_or_usual(numbers: &[usize]) -> usize {
+    match numbers.first() {
+        Some(&number) => number,
+        None => 0,
+    }
 }
 
 /// Notices of the dispatcher that wait to be taken in: a slot may have four before the event half is there. A power of
@@ -113,12 +130,27 @@ impl<
     const FRAMES: usize,
     const OUTCOMES: usize,
     const NOTICES: usize,
-> Capacity for Sizes<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, FRAMES, OUTCOMES, NOTICES>
+    const EXCEPTIONS: usize,
+    const URGENT: usize,
+> Capacity
+    for Sizes<
+        SLOTS,
+        CHANNELS,
+        SUBSCRIPTIONS,
+        EVENTS,
+        SOFT,
+        NRT,
+        FRAMES,
+        OUTCOMES,
+        NOTICES,
+        EXCEPTIONS,
+        URGENT,
+    >
 {
     type Buffers = HrtBuffers<SLOTS>;
     type Dispatcher = Dispatcher<SLOTS>;
     type Half<S: Services, H: HardAccess<Self::Buffers>> =
-        EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>;
+        EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, &'static Declared, EXCEPTIONS>;
 
     const BUFFERS: Self::Buffers = HrtBuffers::new(GlobalClock::unsynchronised());
 
@@ -177,12 +209,31 @@ mod sealed {
         const FRAMES: usize,
         const OUTCOMES: usize,
         const NOTICES: usize,
-    > Sealed for super::Sizes<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, FRAMES, OUTCOMES, NOTICES>
+        const EXCEPTIONS: usize,
+        const URGENT: usize,
+    > Sealed
+        for super::Sizes<
+            SLOTS,
+            CHANNELS,
+            SUBSCRIPTIONS,
+            EVENTS,
+            SOFT,
+            NRT,
+            FRAMES,
+            OUTCOMES,
+            NOTICES,
+            EXCEPTIONS,
+            URGENT,
+        >
     {
     }
 }
 
 /// Names a [`Capacity`].
+///
+/// Two numbers may be left out: `exceptions`, that wait for the application, are as many as non real-time events otherwise;
+/// a node that fetches none says zero, and they are only counted. `urgent: 0` is for a node without slots whose services do
+/// not [hear the clock](crate::services::Services::HEARS_CLOCK): it has no task for the urgent FIFO, and no queue.
 ///
 /// ```
 /// cosmic_core::capacity! {
@@ -207,7 +258,9 @@ macro_rules! capacity {
             subscriptions: $subscriptions:expr,
             events: $events:expr,
             soft: $soft:expr,
-            non_real_time: $non_real_time:expr $(,)?
+            non_real_time: $non_real_time:expr
+            $(, exceptions: $exceptions:expr)?
+            $(, urgent: $urgent:expr)? $(,)?
         }
     ) => {
         $(#[$attribute])*
@@ -221,6 +274,8 @@ macro_rules! capacity {
             { $crate::event_half::frames_waiting($events) },
             { $crate::event_half::outcomes_waiting($slots) },
             { $crate::event_half::notices_waiting($slots) },
+            { $crate::event_half::stated_or_usual(&[$($exceptions,)? $non_real_time]) },
+            { $crate::event_half::stated_or_usual(&[$($urgent,)? $crate::event_half::URGENT_WAITING]) },
         >;
     };
 }
@@ -247,7 +302,8 @@ pub trait Half {
     ///
     /// # Errors
     /// As there.
-    fn announce<C: Content>(&mut self, channel: &Channel<C>) -> Result<Publication<C>, AnnounceError>;
+    fn announce<C: Content>(&mut self, channel: &'static Channel<C>)
+    -> Result<Publication<C>, AnnounceError>;
 
     /// As [`EventHalf::subscribe`].
     ///
@@ -255,7 +311,7 @@ pub trait Half {
     /// As there.
     fn subscribe<C: Content>(
         &mut self,
-        channel: &Channel<C>,
+        channel: &'static Channel<C>,
         filter: Filter,
         policy: Policy,
     ) -> Result<Subscription<C>, SubscribeError>;
@@ -348,7 +404,9 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-> Half for EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
+    D: Borrow<Declared> + From<&'static Declared> + Copy,
+    const EXCEPTIONS: usize,
+> Half for EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {
     type Services = S;
 
@@ -370,13 +428,16 @@ impl<
         Self::services_mut(self)
     }
 
-    fn announce<C: Content>(&mut self, channel: &Channel<C>) -> Result<Publication<C>, AnnounceError> {
+    fn announce<C: Content>(
+        &mut self,
+        channel: &'static Channel<C>,
+    ) -> Result<Publication<C>, AnnounceError> {
         Self::announce(self, channel)
     }
 
     fn subscribe<C: Content>(
         &mut self,
-        channel: &Channel<C>,
+        channel: &'static Channel<C>,
         filter: Filter,
         policy: Policy,
     ) -> Result<Subscription<C>, SubscribeError> {

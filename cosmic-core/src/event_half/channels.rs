@@ -13,6 +13,7 @@ use crate::network::hard::{Attach, AttachError, Attaching, BufferId, Detaching, 
 use crate::network::soft::{self, Outgoing, Tag};
 use crate::services::{Declaration, Services, TooMany};
 use crate::time::Instant;
+use core::borrow::Borrow;
 use core::task::{Poll, Waker};
 
 impl<
@@ -24,16 +25,24 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
+    D: Borrow<Declared> + Copy,
+    const EXCEPTIONS: usize,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {
     /// Announces a channel, on which this node may publish from now on. A hard real-time channel must
     /// stand in the calendar. O(CHANNELS + slots of the calendar · SLOTS).
     ///
     /// # Errors
     /// [`AnnounceError`]; nothing has changed then.
-    pub fn announce<C: Content>(&mut self, channel: &Channel<C>) -> Result<Publication<C>, AnnounceError> {
+    pub fn announce<'c, C: Content>(
+        &mut self,
+        channel: &'c Channel<C>,
+    ) -> Result<Publication<C>, AnnounceError>
+    where
+        D: From<&'c Declared>,
+    {
         let publication = self.layer.announce(channel)?;
-        match self.attach(&channel.declared(), PUBLISHES) {
+        match self.attach(channel.declared(), PUBLISHES) {
             Ok(buffer) => {
                 self.layer.set_buffer(&publication, buffer);
             }
@@ -42,7 +51,7 @@ impl<
                 return Err(error);
             }
         }
-        if let Err(error) = self.declare(&channel.declared()) {
+        if let Err(error) = self.declare(channel.declared()) {
             // Nothing has been published, so there is nothing to withdraw.
             let _ = self.cancel_publication(publication);
             return Err(error);
@@ -54,15 +63,18 @@ impl<
     ///
     /// # Errors
     /// [`SubscribeError`]; nothing has changed then.
-    pub fn subscribe<C: Content>(
+    pub fn subscribe<'c, C: Content>(
         &mut self,
-        channel: &Channel<C>,
+        channel: &'c Channel<C>,
         filter: Filter,
         policy: Policy,
-    ) -> Result<Subscription<C>, SubscribeError> {
+    ) -> Result<Subscription<C>, SubscribeError>
+    where
+        D: From<&'c Declared>,
+    {
         let subscription = self.layer.subscribe(channel, filter, policy)?;
-        let joined = self.attach(&channel.declared(), SUBSCRIBES);
-        match joined.and_then(|_| self.declare(&channel.declared())) {
+        let joined = self.attach(channel.declared(), SUBSCRIBES);
+        match joined.and_then(|_| self.declare(channel.declared())) {
             Ok(()) => Ok(subscription),
             Err(error) => {
                 self.cancel_subscription(subscription);
@@ -77,19 +89,22 @@ impl<
     ///
     /// # Errors
     /// [`SubscribeError`]; nothing has changed then.
-    pub fn subscribe_early<C: Content>(
+    pub fn subscribe_early<'c, C: Content>(
         &mut self,
-        channel: &Channel<C>,
+        channel: &'c Channel<C>,
         filter: Filter,
         policy: Policy,
-    ) -> Result<Subscription<C>, SubscribeError> {
+    ) -> Result<Subscription<C>, SubscribeError>
+    where
+        D: From<&'c Declared>,
+    {
         let declared = channel.declared();
         let etag = declared.etag.filter(|etag| etag.is_hard());
         if etag.is_some_and(|etag| !self.calendar.slots().iter().any(|slot| slot.etag == etag)) {
             return Err(SubscribeError::Channel(AnnounceError::NotInCalendar));
         }
         let subscription = self.layer.subscribe(channel, filter, policy)?;
-        if let Err(error) = self.declare(&declared) {
+        if let Err(error) = self.declare(declared) {
             self.cancel_subscription(subscription);
             return Err(SubscribeError::Channel(error));
         }
@@ -99,21 +114,21 @@ impl<
     /// Gives up an announcement. When it was the last one of the channel, events that wait to be sent are
     /// discarded; the commands do so in the mailboxes.
     pub fn cancel_publication<C>(&mut self, publication: Publication<C>) -> [Due; 2] {
-        let declared = self.layer.declared(publication.tag());
+        let declared = self.layer.declared(publication.tag()).copied();
         let Some(buffer) = self.layer.cancel_publication(&publication) else { return [Due::NOTHING; 2] };
         self.detach(buffer, PUBLISHES);
         if let Some(declared) = declared {
             // Giving up takes no room.
-            let _ = self.declare(&declared);
+            let _ = self.declare(declared.borrow());
         }
-        self.etch.recall(|outgoing| outgoing.tag == publication.tag()).map(Due)
+        self.etch.recall(|tag, _| tag == publication.tag()).map(Due)
     }
 
     /// Gives up a subscription, with the events that wait for it.
     pub fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) {
         let Some(declared) = self.layer.cancel_subscription(subscription) else { return };
-        let _ = self.declare(&declared);
-        let Some(etag) = declared.etag.filter(|etag| SLOTS > 0 && etag.is_hard()) else { return };
+        let _ = self.declare(declared.borrow());
+        let Some(etag) = declared.borrow().etag.filter(|etag| SLOTS > 0 && etag.is_hard()) else { return };
         for slot in self.calendar.slots().iter().filter(|slot| slot.etag == etag) {
             let buffer = self.hard.with(|buffers| buffers.find(etag, slot.publisher));
             self.detach(buffer, SUBSCRIBES);

@@ -3,12 +3,13 @@
 use super::{EventHalf, HardAccess, Input, Own, PUBLISHES, SERVICES, Step};
 use crate::calendar::Slot;
 use crate::can::{Command, Frame, Mailbox, Outcome, Priority, TxNode};
-use crate::event_layer::{Accepted, Exception, ExceptionKind, Received};
+use crate::event_layer::{Accepted, Declared, Exception, ExceptionKind, Received};
 use crate::network::hard::{BufferId, Counters, HrtBuffers};
 use crate::network::soft::{self, Tag};
 use crate::services::{NodeView, Request, Services};
 use crate::time::Instant;
 use crate::uid::Subject;
+use core::borrow::Borrow;
 
 impl<
     const SLOTS: usize,
@@ -19,7 +20,9 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
+    D: Borrow<Declared> + Copy,
+    const EXCEPTIONS: usize,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {
     /// Takes in what has happened since the last call, at this instant. Returns whether something may be due now, or earlier
     /// than [`poll`](Self::poll) has said: an event that went to its subscribers, or one that was foreign, leaves that as it
@@ -212,8 +215,7 @@ impl<
             }
             Request::Send(frame) => self.etch.queue_for_services(frame).map(|()| None),
             Request::Withdraw(frame) => {
-                let [_, command] =
-                    self.etch.recall(|outgoing| outgoing.tag == SERVICES && outgoing.frame == frame);
+                let [_, command] = self.etch.recall(|tag, waiting| tag == SERVICES && *waiting == frame);
                 Ok(command)
             }
             Request::Clock => {
@@ -249,7 +251,7 @@ impl<
                 self.layer.unbind(subject);
                 if let Some(tag) = self.layer.tag_of(subject) {
                     // Under the old etag they would be another channel's.
-                    self.etch.revoke(now, |outgoing| outgoing.tag == tag);
+                    self.etch.revoke(now, |source| source == tag);
                 }
                 Ok(None)
             }
@@ -274,7 +276,7 @@ impl<
     fn set_tx_node(&mut self, tx_node: Option<TxNode>, now: Instant) {
         if self.own.get() != tx_node {
             // The frames that wait bear an id that is another node's.
-            self.etch.revoke(now, |outgoing| outgoing.tag != SERVICES);
+            self.etch.revoke(now, |source| source != SERVICES);
             if SLOTS > 0 {
                 self.revoke_hard(tx_node, now);
             }

@@ -27,19 +27,24 @@ mod input;
 mod interest;
 
 pub use crate::event_layer::Delivered;
-pub use capacity::{Capacity, Half, Sizes, frames_waiting, notices_waiting, outcomes_waiting};
+pub use capacity::{
+    Capacity, Half, Sizes, URGENT_WAITING, frames_waiting, notices_waiting, outcomes_waiting, stated_or_usual,
+};
 pub use input::{Input, outcome, receive};
 pub use interest::Interest;
 
 use crate::calendar::Calendar;
 use crate::can::filter_banks::{Fifo, Wanted};
 use crate::can::{Command, ErrorCounters, TxNode};
-use crate::event_layer::{Accepted, ChannelCounters, EventLayer, Exception, ExceptionKind, Exceptions};
+use crate::event_layer::{
+    Accepted, ChannelCounters, Declared, EventLayer, Exception, ExceptionKind, Exceptions,
+};
 use crate::network::hard::{Counters, HrtBuffers, Role};
 use crate::network::soft::{self, Etch, EtchCounters, PriorityMap, Tag};
 use crate::services::{NodeView, Services};
 use crate::time::Instant;
 use crate::uid::Subject;
+use core::borrow::Borrow;
 use core::task::{Poll, Waker};
 
 /// Access to the HRT message buffers, which the two halves share.
@@ -103,13 +108,15 @@ const SERVICES: Tag = Tag::SERVICES;
 /// | `EVENTS` | received events that wait, in all queues together |
 /// | `SOFT`, `NRT` | events that wait to be sent; `SOFT` may be zero |
 ///
-/// Exceptions wait for the application like events that have no deadline, `NRT` at most: further ones are counted only.
+/// Exceptions wait for the application like events that have no deadline, `EXCEPTIONS` at most: further ones are counted
+/// only.
 ///
 /// A node without slots, or that sends nothing in soft real-time, has no code for it. It is refused such channels, but may
 /// subscribe to soft ones.
 ///
 /// `S` are the [services](crate::services) that it takes part in, `H` is its [access](HardAccess) to the HRT
-/// message buffers.
+/// message buffers. `D` is how it keeps what it knows of a channel: by a copy, or by
+/// `&'static` where all channels are constants.
 #[derive(Debug)]
 // In this order for the reason that the event layer is in its order.
 #[repr(C)]
@@ -122,16 +129,18 @@ pub struct EventHalf<
     const NRT: usize,
     S = (),
     H = HrtBuffers<SLOTS>,
+    D = Declared,
+    const EXCEPTIONS: usize = NRT,
 > {
     calendar: &'static Calendar,
     own: Own,
     /// Received frames that concern nobody here.
     foreign: u32,
-    layer: EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>,
+    layer: EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>,
     etch: Etch<SOFT, NRT>,
     /// What the counters of each HRT message buffer were when they were last looked at.
     seen: [Counters; SLOTS],
-    exceptions: Exceptions<NRT>,
+    exceptions: Exceptions<EXCEPTIONS>,
     exception_waker: Option<Waker>,
     services: S,
     view: NodeView,
@@ -147,7 +156,9 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H>
+    D: Borrow<Declared> + Copy,
+    const EXCEPTIONS: usize,
+> EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {
     /// A node in a segment with this calendar. Without a TxNode it publishes nothing; a service may give
     /// it one. With services that [say when it has one](Services::GIVES_TX_NODE) it announces hard real-time

@@ -13,6 +13,7 @@ use crate::network::soft::Tag;
 use crate::protocol::LayoutHash;
 use crate::time::Instant;
 use crate::uid::Subject;
+use core::borrow::Borrow;
 use core::marker::PhantomData;
 use core::task::Waker;
 
@@ -42,9 +43,11 @@ impl<C> Clone for Channel<C> {
 
 impl<C> Copy for Channel<C> {}
 
-/// A channel without the type of its content.
+/// A channel without the type of its content: what a node knows of it.
+///
+/// A node whose channels are constants, as those of firmware are, keeps `&'static Declared`: it takes no copy of each.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) struct Declared {
+pub struct Declared {
     pub(crate) subject: Subject,
     pub(crate) attributes: Attributes,
     pub(crate) etag: Option<Etag>,
@@ -132,8 +135,8 @@ impl<C: Content> Channel<C> {
         Self { declared: Declared { rate: Some(rate), ..self.declared }, ..self }
     }
 
-    pub(crate) const fn declared(&self) -> Declared {
-        self.declared
+    pub(crate) const fn declared(&self) -> &Declared {
+        &self.declared
     }
 
     /// Its subject.
@@ -159,6 +162,12 @@ impl<C: Content> Channel<C> {
     /// Returns whether its events carry [attributes of context](super::Context).
     pub const fn has_context(&self) -> bool {
         self.declared.context
+    }
+}
+
+impl From<&Self> for Declared {
+    fn from(declared: &Self) -> Self {
+        *declared
     }
 }
 
@@ -253,8 +262,8 @@ pub(super) const NONE: u8 = u8::MAX;
 
 /// An entry of the LECL (COSMIC section III-A).
 #[derive(Clone, Debug)]
-pub(super) struct Entry {
-    pub(super) declared: Declared,
+pub(super) struct Entry<D> {
+    pub(super) declared: D,
     pub(super) etag: Option<Etag>,
     /// What the frames of its events are called. Closed if the channel has a rate, but for the event that is charged.
     pub(super) outlet: Outlet,
@@ -275,11 +284,11 @@ pub(super) struct Entry {
     pub(super) counters: ChannelCounters,
 }
 
-impl Entry {
+impl<D> Entry<D> {
     /// A channel that nobody uses yet.
-    pub(super) fn new(declared: &Declared, guard: Guard) -> Self {
+    pub(super) const fn new(declared: D, guard: Guard) -> Self {
         Self {
-            declared: *declared,
+            declared,
             etag: None,
             outlet: Outlet::CLOSED,
             guarded_outlet: Outlet::CLOSED,
@@ -291,13 +300,21 @@ impl Entry {
             subscriptions: 0,
             first_subscription: NONE,
             buffer: None,
-            counters: ChannelCounters::default(),
+            counters: ChannelCounters::NONE,
         }
     }
 
     /// Returns whether the node publishes on the channel or subscribes to it.
     pub(super) const fn is_used(&self) -> bool {
         self.announcements > 0 || self.subscriptions > 0
+    }
+}
+
+impl<D: Borrow<Declared>> Entry<D> {
+    /// The channel as it was declared.
+    #[inline]
+    pub(super) fn declared(&self) -> &Declared {
+        self.declared.borrow()
     }
 }
 
@@ -353,6 +370,22 @@ pub struct ChannelCounters {
     pub malformed: u32,
     /// Events that were dropped because the plan of a sealed cluster does not let their sender publish them.
     pub unplanned: u32,
+}
+
+impl ChannelCounters {
+    const NONE: Self = Self {
+        published: 0,
+        refused: 0,
+        too_fast: 0,
+        sent: 0,
+        discarded: 0,
+        delivered: 0,
+        filtered: 0,
+        overflowed: 0,
+        replaced: 0,
+        malformed: 0,
+        unplanned: 0,
+    };
 }
 
 /// What a received frame leads to.

@@ -166,6 +166,19 @@ mod tests {
     use super::*;
 
     #[test]
+    fn without_places_exceptions_are_counted_only() {
+        let mut exceptions = Exceptions::<0>::new();
+        let bus_off = Exception { subject: None, kind: ExceptionKind::BusOff, at: Instant::EPOCH };
+        exceptions.raise_times(bus_off, 2);
+        exceptions.raise_times(bus_off, 1);
+        assert_eq!((exceptions.take(), exceptions.is_empty()), (None, true));
+        assert_eq!(
+            (exceptions.count(ExceptionKind::BusOff), exceptions.total(), exceptions.dropped()),
+            (3, 3, 3)
+        );
+    }
+
+    #[test]
     fn each_kind_has_its_number_its_name_and_one_meaning() {
         for (number, kind) in ExceptionKind::ALL.iter().enumerate() {
             assert_eq!(*kind as usize, number);

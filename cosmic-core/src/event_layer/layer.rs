@@ -18,6 +18,7 @@ use crate::network::id_map::IdMap;
 use crate::network::soft::{PriorityMap, Tag};
 use crate::time::Instant;
 use crate::uid::Subject;
+use core::borrow::Borrow;
 use core::task::Waker;
 
 /// The channels, subscriptions and waiting events of a node: room for `CHANNELS` (a power of two),
@@ -26,21 +27,21 @@ use core::task::Waker;
 // In this order, what every frame needs is near the start, where an instruction reaches it without a
 // second one for its address.
 #[repr(C)]
-pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize> {
+pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D = Declared> {
     tx_node: Option<TxNode>,
     map: PriorityMap,
     by_etag: IdMap<{ Route::BITS }, CHANNELS>,
     pool: Pool<EVENTS>,
     subscribers: [Subscriber; SUBSCRIPTIONS],
-    pub(super) channels: [Option<Entry>; CHANNELS],
+    pub(super) channels: [Option<Entry<D>>; CHANNELS],
     /// No event is overdue before this instant.
     pub(super) first_overdue: Instant,
     /// Other etags may concern somebody here since this was asked last, or the node has another TxNode.
     renamed: bool,
 }
 
-impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
-    EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Borrow<Declared>>
+    EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>
 {
     /// A layer without channels. A node that is configured at run time has no TxNode yet.
     pub const fn new(tx_node: Option<TxNode>, map: PriorityMap) -> Self {
@@ -70,10 +71,13 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 
     /// Announces a channel: from now on this node may publish on it. Several announcements of a channel
     /// are counted. O(CHANNELS).
-    pub(crate) fn announce<C: Content>(
+    pub(crate) fn announce<'c, C: Content>(
         &mut self,
-        channel: &Channel<C>,
-    ) -> Result<Publication<C>, AnnounceError> {
+        channel: &'c Channel<C>,
+    ) -> Result<Publication<C>, AnnounceError>
+    where
+        D: From<&'c Declared>,
+    {
         let at = self.enter(&channel.declared)?;
         if let Some(entry) = self.entry_mut(at) {
             entry.announcements = entry.announcements.saturating_add(1);
@@ -112,12 +116,15 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 
     /// Subscribes to a channel. O(CHANNELS + SUBSCRIPTIONS).
     #[allow(clippy::indexing_slicing, reason = "the place was found by its number")]
-    pub(crate) fn subscribe<C: Content>(
+    pub(crate) fn subscribe<'c, C: Content>(
         &mut self,
-        channel: &Channel<C>,
+        channel: &'c Channel<C>,
         filter: Filter,
         policy: Policy,
-    ) -> Result<Subscription<C>, SubscribeError> {
+    ) -> Result<Subscription<C>, SubscribeError>
+    where
+        D: From<&'c Declared>,
+    {
         let index = (self.subscribers.iter().position(Subscriber::is_vacant))
             .ok_or(SubscribeError::TooManySubscriptions)?;
         let at = self.enter(&channel.declared).map_err(SubscribeError::Channel)?;
@@ -147,7 +154,10 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
 
     /// Gives up a subscription, with the events that wait for it. Says which channel has lost its last
     /// subscriber here. O(SUBSCRIPTIONS + EVENTS).
-    pub(crate) fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) -> Option<Declared> {
+    pub(crate) fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) -> Option<D>
+    where
+        D: Copy,
+    {
         let index = subscription.index;
         let place = self.subscribers.get_mut(usize::from(index)).filter(|place| !place.is_vacant())?;
         let mut gone = core::mem::replace(place, Subscriber::VACANT);
@@ -248,17 +258,17 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         }
         if entry.publishers.is_some_and(|publishers| !publishers.contains(frame.id.tx_node())) {
             entry.counters.unplanned = entry.counters.unplanned.wrapping_add(1);
-            return Accepted::Unplanned(entry.declared.subject);
+            return Accepted::Unplanned(entry.declared().subject);
         }
         let mut context = Context::EMPTY;
-        if entry.declared.context {
+        if entry.declared().context {
             let Some((carried, _)) = Context::split(&frame.payload) else {
                 entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
-                return Accepted::Malformed(entry.declared.subject);
+                return Accepted::Malformed(entry.declared().subject);
             };
             context = carried;
         }
-        if entry.declared.is_awaited() {
+        if entry.declared().is_awaited() {
             entry.awaited_since = received_at;
             self.first_overdue = self.first_overdue.min(entry.overdue_at());
         }
@@ -286,7 +296,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
                 }
                 Err(PoolFull) => {
                     counters.overflowed = counters.overflowed.wrapping_add(1);
-                    accepted = Accepted::Overflowed(entry.declared.subject);
+                    accepted = Accepted::Overflowed(entry.declared.borrow().subject);
                 }
             }
         }
@@ -385,13 +395,13 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     }
 
     /// A channel as it was declared, by its number.
-    pub(crate) fn declared(&self, tag: Tag) -> Option<Declared> {
-        Some(self.channels.get(usize::from(tag.0))?.as_ref()?.declared)
+    pub(crate) fn declared(&self, tag: Tag) -> Option<&D> {
+        Some(&self.channels.get(usize::from(tag.0))?.as_ref()?.declared)
     }
 
     /// The subject of a channel by its number.
     pub(crate) fn subject(&self, tag: Tag) -> Option<Subject> {
-        Some(self.declared(tag)?.subject)
+        Some(self.declared(tag)?.borrow().subject)
     }
 
     /// The channel that has this etag here.
@@ -404,7 +414,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let at = self.subscribers.get(usize::from(subscription.index))?.channel;
         let entry = self.entry_mut(at)?;
         entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
-        Some(entry.declared.subject)
+        Some(entry.declared().subject)
     }
 
     /// The number of a subject's channel, if this node has it. O(CHANNELS).
@@ -413,17 +423,21 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     }
 
     fn find(&self, subject: Subject) -> Option<usize> {
-        let is_it = |place: &Option<Entry>| place.as_ref().is_some_and(|e| e.declared.subject == subject);
+        let is_it =
+            |place: &Option<Entry<D>>| place.as_ref().is_some_and(|e| e.declared().subject == subject);
         self.channels.iter().position(is_it)
     }
 
-    pub(super) fn entry_mut(&mut self, at: u8) -> Option<&mut Entry> {
+    pub(super) fn entry_mut(&mut self, at: u8) -> Option<&mut Entry<D>> {
         self.channels.get_mut(usize::from(at))?.as_mut()
     }
 
     /// The entry of a channel, made if there is none.
     #[allow(clippy::indexing_slicing, reason = "the place was found or is free, by its number")]
-    fn enter(&mut self, declared: &Declared) -> Result<u8, AnnounceError> {
+    fn enter<'c>(&mut self, declared: &'c Declared) -> Result<u8, AnnounceError>
+    where
+        D: From<&'c Declared>,
+    {
         if declared.subject == Subject::RESERVED {
             return Err(AnnounceError::ReservedSubject);
         }
@@ -432,15 +446,15 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         if let (Some(at), Some(entry)) = (found, former)
             && entry.is_used()
         {
-            return if entry.declared == *declared {
+            return if entry.declared() == declared {
                 Ok(at as u8)
             } else {
                 Err(AnnounceError::Contradiction)
             };
         }
         let guard = former.map_or(Guard::NEW, |entry| entry.guard);
-        let vacant = |entry: &Option<Entry>| entry.is_none();
-        let unused = |entry: &Option<Entry>| entry.as_ref().is_some_and(|entry| !entry.is_used());
+        let vacant = |entry: &Option<Entry<D>>| entry.is_none();
+        let unused = |entry: &Option<Entry<D>>| entry.as_ref().is_some_and(|entry| !entry.is_used());
         let at = found
             .or_else(|| self.channels.iter().position(vacant))
             .or_else(|| self.channels.iter().position(unused))
@@ -451,7 +465,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             return Err(AnnounceError::EtagInUse);
         }
         let before = self.channels[at].take();
-        self.channels[at] = Some(Entry::new(declared, guard));
+        self.channels[at] = Some(Entry::new(declared.into(), guard));
         if let Some(etag) = declared.etag
             && let Err(error) = self.name(at as u8, etag)
         {
@@ -488,14 +502,14 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             }
             _ => Outlet::CLOSED,
         };
-        let guarded = entry.declared.rate.is_some() || entry.gate == Gate::NonRealTime;
+        let guarded = entry.declared().rate.is_some() || entry.gate == Gate::NonRealTime;
         entry.outlet = if guarded { Outlet::CLOSED } else { outlet };
         entry.guarded_outlet = if guarded { outlet } else { Outlet::CLOSED };
-        let plain = entry.subscriptions == 1 && !entry.declared.context && entry.publishers.is_none();
+        let plain = entry.subscriptions == 1 && !entry.declared().context && entry.publishers.is_none();
         let only = if plain { entry.first_subscription } else { NONE };
         if let Some(etag) = entry.etag {
             // It is there already, so there is a place.
-            let route = Route { tag: Tag(at), only, is_awaited: entry.declared.is_awaited() };
+            let route = Route { tag: Tag(at), only, is_awaited: entry.declared().is_awaited() };
             let _ = self.by_etag.insert(key(etag), route.encode());
         }
     }

@@ -20,7 +20,7 @@ pub use messages::{MessageChannel, MessagePublisher, MessageSubscriber};
 pub use crate::protocol::Class;
 pub use attributes::{Attributes, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes};
 pub use bytes::Bytes;
-pub use channel::{Channel, ChannelCounters, Depth, Policy, Publication, Subscription};
+pub use channel::{Channel, ChannelCounters, Declared, Depth, Policy, Publication, Subscription};
 pub use content::{Content, layout_of};
 pub use delivery::Delivered;
 pub use error::{AnnounceError, SubscribeError};
@@ -31,7 +31,6 @@ pub use layer::EventLayer;
 pub use publish::{Event, PublishError, Published};
 pub use rate::EventRate;
 
-pub(crate) use channel::Declared;
 pub(crate) use delivery::{Accepted, Received};
 pub(crate) use exception::Exceptions;
 pub(crate) use publish::{Quality, encode};

@@ -9,9 +9,10 @@ use super::publish::PublishError;
 use crate::network::soft::Tag;
 use crate::time::{Duration, Instant};
 use crate::uid::Subject;
+use core::borrow::Borrow;
 
-impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
-    EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Borrow<Declared>>
+    EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>
 {
     /// Whether this node may publish on a channel from now on. O(CHANNELS).
     pub(crate) fn set_gate(&mut self, subject: Subject, gate: Gate) {
@@ -62,7 +63,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
         let mut entries = self.channels.iter_mut().flatten();
         let found = entries.find_map(|entry| match entry.take_overdue(now) {
             0 => None,
-            missed => Some((entry.declared.subject, missed)),
+            missed => Some((entry.declared().subject, missed)),
         });
         if found.is_none() {
             let all = self.channels.iter().flatten().map(Entry::overdue_at);
@@ -87,7 +88,7 @@ impl Declared {
     }
 }
 
-impl Entry {
+impl<D: Borrow<Declared>> Entry<D> {
     /// Opens the outlet of a channel with a rate for one event, which is charged for it. Returns whether it did; or that
     /// the event comes too early.
     fn open(&mut self, now: Instant) -> Result<bool, PublishError> {
@@ -111,7 +112,7 @@ impl Entry {
     }
 
     fn charge_event(&mut self, now: Instant) -> Result<(), PublishError> {
-        let Some(rate) = self.declared.rate else { return Ok(()) };
+        let Some(rate) = self.declared().rate else { return Ok(()) };
         if self.guard.charge(&rate, now) {
             return Ok(());
         }
@@ -120,7 +121,7 @@ impl Entry {
     }
 
     pub(super) fn refund(&mut self) {
-        if let Some(rate) = self.declared.rate {
+        if let Some(rate) = self.declared().rate {
             self.guard.refund(&rate);
         }
     }
@@ -128,7 +129,7 @@ impl Entry {
     /// When the next event of a channel is overdue, if it does not come; [`Instant::FAR_FUTURE`] if none is awaited.
     #[inline(never)]
     pub(super) fn overdue_at(&self) -> Instant {
-        let patience = self.declared.patience().unwrap_or(Duration::MAX);
+        let patience = self.declared().patience().unwrap_or(Duration::MAX);
         let ticks = self.awaited_since.since_epoch().as_ticks().saturating_add(patience.as_ticks());
         Instant::from_epoch(Duration::from_ticks(ticks))
     }
@@ -136,7 +137,7 @@ impl Entry {
     /// How many events have not come by now that should have.
     #[expect(clippy::arithmetic_side_effects, reason = "an interval is not zero")]
     pub(super) fn take_overdue(&mut self, now: Instant) -> u32 {
-        let Some(rate) = self.declared.rate else { return 0 };
+        let Some(rate) = self.declared().rate else { return 0 };
         let overdue_at = self.overdue_at();
         if now < overdue_at || overdue_at == Instant::FAR_FUTURE {
             return 0;

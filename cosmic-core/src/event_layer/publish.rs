@@ -1,7 +1,7 @@
 //! From an event to what leaves the node.
 
 use super::attributes::Attributes;
-use super::channel::Entry;
+use super::channel::{Declared, Entry};
 use super::content::Content;
 use super::filter::Context;
 use super::gate::Gate;
@@ -10,6 +10,7 @@ use crate::can::{Frame, Payload, Priority};
 use crate::network::hard::BufferId;
 use crate::network::soft::{Outgoing, Tag};
 use crate::time::Instant;
+use core::borrow::Borrow;
 
 /// Why an event was not published. It has been counted, in
 /// [`ChannelCounters::refused`](super::ChannelCounters::refused), if the channel still exists.
@@ -126,8 +127,8 @@ pub enum Published {
     NonRealTime(Outgoing),
 }
 
-impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
-    EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS>
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Borrow<Declared>>
+    EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>
 {
     /// What an event becomes on its way. O(1).
     // What comes out is taken apart again by the only caller.
@@ -143,12 +144,12 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
             return Err(PublishError::NotAnnounced);
         };
         let Some(id) = entry.outlet.id(Priority::SOFT_MOST_URGENT) else { return Err(entry.why_closed()) };
-        if entry.declared.context {
+        if entry.declared().context {
             payload = event.context.prepend(&payload).map_err(|_| PublishError::TooLong)?;
         } else if event.context.presence() != 0 {
             return Err(PublishError::TooLong);
         }
-        let published = match entry.declared.attributes {
+        let published = match entry.declared().attributes {
             Attributes::Hard(_) => {
                 if event.deadline.is_some() || event.expires_at.is_some() {
                     return Err(PublishError::HardDeadline);
@@ -176,7 +177,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize>
     }
 }
 
-impl Entry {
+impl<D> Entry<D> {
     /// Why nothing can be published, as far as is known without the channel's rate.
     #[cold]
     const fn why_closed(&self) -> PublishError {

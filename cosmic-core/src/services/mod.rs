@@ -103,6 +103,8 @@ pub trait Services {
     const GIVES_TX_NODE: bool = false;
     /// Whether they ask for [`Request::SendUrgent`], so that the node needs places for soft real-time.
     const SENDS_URGENT: bool = true;
+    /// Whether the frames of the clock are for them, so that the node needs places for these.
+    const HEARS_CLOCK: bool = true;
     /// An event of another node has arrived, on a soft or non real-time channel, whether this node takes part
     /// in it or not.
     fn on_event(&mut self, id: Id, received_at: Instant) {
@@ -155,6 +157,7 @@ pub trait Services {
 /// No services: a node with fixed ids whose local time is global time.
 impl Services for () {
     const SENDS_URGENT: bool = false;
+    const HEARS_CLOCK: bool = false;
 
     fn on_frame(&mut self, _: &Frame, _: Instant) {}
 

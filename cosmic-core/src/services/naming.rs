@@ -19,8 +19,8 @@ use crate::uid::{NodeUid, Subject};
 pub struct NamingService<const CHANNELS: usize> {
     configuration: Configuration,
     binding: Binding<CHANNELS>,
-    /// What an event brings besides: the next request.
-    besides: Option<Request>,
+    /// A subject that was refused is to be unbound, too: the next request.
+    refused: Option<Subject>,
 }
 
 impl<const CHANNELS: usize> NamingService<CHANNELS> {
@@ -36,7 +36,7 @@ impl<const CHANNELS: usize> NamingService<CHANNELS> {
 
     const fn of(configuration: Configuration, noise: u64) -> Self {
         let binding = Binding::new(configuration.uid().get() ^ noise, &BindingTiming::DEFAULT);
-        Self { configuration, binding, besides: None }
+        Self { configuration, binding, refused: None }
     }
 
     /// The node's TxNode, if it has one.
@@ -75,7 +75,7 @@ impl<const CHANNELS: usize> NamingService<CHANNELS> {
             }
             BindingEvent::Withdrawn { subject, .. } => Request::Unbound(subject),
             BindingEvent::Refused { subject } => {
-                self.besides = Some(Request::Unbound(subject));
+                self.refused = Some(subject);
                 Request::Exception(Some(subject), ExceptionKind::BindingRefused)
             }
             BindingEvent::Contradicted { subject, .. } => {
@@ -88,6 +88,7 @@ impl<const CHANNELS: usize> NamingService<CHANNELS> {
 impl<const CHANNELS: usize> Services for NamingService<CHANNELS> {
     const GIVES_TX_NODE: bool = true;
     const SENDS_URGENT: bool = false;
+    const HEARS_CLOCK: bool = false;
 
     fn on_frame(&mut self, frame: &Frame, received_at: Instant) {
         self.configuration.on_frame(frame, received_at);
@@ -109,8 +110,8 @@ impl<const CHANNELS: usize> Services for NamingService<CHANNELS> {
     }
 
     fn poll(&mut self, now: Instant, _: &NodeView) -> Option<Request> {
-        if let Some(request) = self.besides.take() {
-            return Some(request);
+        if let Some(subject) = self.refused.take() {
+            return Some(Request::Unbound(subject));
         }
         if let Some(output) = self.configuration.poll(now) {
             return Some(match output {

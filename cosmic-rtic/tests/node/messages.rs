@@ -117,7 +117,7 @@ fn a_message_that_cannot_be_published_says_so() {
     let node = RefCell::new(node);
     let mut resource = Resource(&node);
     let unbound: Lines = MessageChannel::new(Subject::new(0xD2).unwrap(), ATTRIBUTES);
-    let mut lines = MessagePublisher::announce(&unbound, &mut resource).unwrap();
+    let mut lines = MessagePublisher::announce(Box::leak(Box::new(unbound)), &mut resource).unwrap();
     let count = Arc::new(Count::default());
     let content = text(TEXT);
     let result = poll(pin!(lines.publish(&content, &mut resource)), &count);
@@ -133,7 +133,7 @@ fn a_message_whose_frame_expires_ends_with_an_error() {
     let validity = Some(Duration::from_millis(1));
     let attributes = NonRealTimeAttributes { validity, ..ATTRIBUTES };
     let channel: Lines = MessageChannel::new(Subject::new(0xD3).unwrap(), attributes).with_etag(ETAG);
-    let mut lines = MessagePublisher::announce(&channel, &mut resource).unwrap();
+    let mut lines = MessagePublisher::announce(Box::leak(Box::new(channel)), &mut resource).unwrap();
     let count = Arc::new(Count::default());
     let content = text(TEXT);
     let mut task = pin!(lines.publish(&content, &mut resource));
@@ -214,7 +214,8 @@ fn a_message_that_is_no_value_of_the_type_is_passed_over_and_told() {
     let flags: MessageChannel<bool, 30, 1> =
         MessageChannel::new(Subject::new(0xD1).unwrap(), ATTRIBUTES).with_etag(ETAG);
     let time_out = Duration::from_millis(100);
-    let mut subscriber = MessageSubscriber::subscribe(&flags, time_out, &mut resource).unwrap();
+    let mut subscriber =
+        MessageSubscriber::subscribe(Box::leak(Box::new(flags)), time_out, &mut resource).unwrap();
     // Messages of one frame: 2 is no `bool`, 1 is.
     for bytes in [[0xC0, 2], [0xD0, 1]] {
         let id = Id::new(Priority::LEAST, OTHER, ETAG);

@@ -43,7 +43,7 @@ pub const QUEUE: Policy = Policy::Fifo(Depth::new(8).unwrap());
 pub const PLANNED: &str = "the plan has the channel";
 
 /// Follows a channel: takes one event after the other.
-pub async fn follow<C: Content>(channel: &Channel<C>, mut node: impl Mutex<T = Node<Rover>>) {
+pub async fn follow<C: Content>(channel: &'static Channel<C>, mut node: impl Mutex<T = Node<Rover>>) {
     // Before, there is nothing that could be missed.
     settled(&mut node).await;
     let events = Subscriber::subscribe(channel, QUEUE, &mut node).expect(PLANNED);

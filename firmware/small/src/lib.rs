@@ -39,8 +39,8 @@ pub const LEAD: Duration = Duration::from_micros(500);
 
 /// Answers each event of one channel with the same number on another.
 pub async fn answer<T: System<Observer: cosmic_rtic::Observes<u16>>>(
-    ask: &Channel<u16>,
-    answer: &Channel<u16>,
+    ask: &'static Channel<u16>,
+    answer: &'static Channel<u16>,
     mut node: impl Mutex<T = Node<T>>,
 ) {
     let Ok(asked) = Subscriber::subscribe(ask, QUEUE, &mut node) else { return };
@@ -53,7 +53,7 @@ pub async fn answer<T: System<Observer: cosmic_rtic::Observes<u16>>>(
 
 /// Answers the beat of the hub in the slots of a channel, with its latest number.
 pub async fn follow<T: System<Observer: cosmic_rtic::Observes<u16>>>(
-    channel: &Channel<u16>,
+    channel: &'static Channel<u16>,
     slot: &cosmic_core::calendar::Slot,
     mut node: impl Mutex<T = Node<T>>,
 ) {

@@ -113,7 +113,7 @@ mod app {
 
     /// Takes each event of a channel.
     async fn hear<C: Content>(
-        channel: &Channel<C>,
+        channel: &'static Channel<C>,
         node: &mut impl Mutex<T = Node<Listener>>,
         delivered: &mut impl Mutex<T = MeasuringPoint<14>>,
     ) {

@@ -108,7 +108,7 @@ pub async fn work<W: Wiring>(misdeed: Misdeed, mut node: impl Mutex<T = Node<Tri
         PROGRESS.made::<0>();
     }
     before_slot(&beat::SLOT, LEAD, &mut node).await;
-    let beats = Publisher::announce(&beat::channel::<Number>(), &mut node).expect(PLANNED);
+    let beats = Publisher::announce(const { &beat::channel::<Number>() }, &mut node).expect(PLANNED);
     for number in 0.. {
         PROGRESS.made::<0>();
         let _ = beats.publish(Number { number }, &mut node);
@@ -121,7 +121,7 @@ pub async fn work<W: Wiring>(misdeed: Misdeed, mut node: impl Mutex<T = Node<Tri
 
 /// The application of the guest.
 pub async fn count<W: Wiring>(misdeed: Misdeed, mut node: impl Mutex<T = Node<Trial<(), W>>>) {
-    let counts = Publisher::announce(&count::channel::<Number>(), &mut node).expect(PLANNED);
+    let counts = Publisher::announce(const { &count::channel::<Number>() }, &mut node).expect(PLANNED);
     let mut ticker = Ticker::<Stm32F4<W>>::every(TURN);
     for number in 0.. {
         ticker.tick().await;
@@ -138,7 +138,8 @@ pub async fn count<W: Wiring>(misdeed: Misdeed, mut node: impl Mutex<T = Node<Tr
 pub async fn hear<W: Wiring>(_: Misdeed, mut node: impl Mutex<T = Node<Trial<(), W>>>) {
     let mut ticker = Ticker::<Stm32F4<W>>::every(TURN);
     loop {
-        let counts = Subscriber::subscribe(&count::channel::<Number>(), QUEUE, &mut node).expect(PLANNED);
+        let counts =
+            Subscriber::subscribe(const { &count::channel::<Number>() }, QUEUE, &mut node).expect(PLANNED);
         defmt::info!("hears");
         let mut heard = 0_u32;
         for _ in 0..HEARS_FOR {
@@ -162,8 +163,9 @@ pub async fn watch<B: PlannedHost + 'static, W: Wiring>(
     misdeed: Misdeed,
     mut node: impl Mutex<T = Node<Trial<B, W>>>,
 ) {
-    let beats = Subscriber::subscribe(&beat::channel::<Number>(), QUEUE, &mut node).expect(PLANNED);
-    let counts = Subscriber::subscribe(&count::channel::<Number>(), QUEUE, &mut node).expect(PLANNED);
+    let beats = Subscriber::subscribe(const { &beat::channel::<Number>() }, QUEUE, &mut node).expect(PLANNED);
+    let counts =
+        Subscriber::subscribe(const { &count::channel::<Number>() }, QUEUE, &mut node).expect(PLANNED);
     let mut ticker = Ticker::<Stm32F4<W>>::every(TURN);
     let (mut beaten, mut counted) = (0_u32, 0_u32);
     for number in 0.. {

@@ -75,7 +75,7 @@ fn recalled() {
     for event in 1..=3 {
         node.submit_soft(event, 1_000, 5_000);
     }
-    for command in node.etch.recall(|outgoing| outgoing.tag != Tag(3)).into_iter().flatten() {
+    for command in node.etch.recall(|tag, _| tag != Tag(3)).into_iter().flatten() {
         node.execute(command);
     }
     node.run_until(3_000);

@@ -1,6 +1,6 @@
 //! The event-triggered channel handler: earliest deadline first by the priority field.
 
-use super::lane::{Attended, Departure, Entry, Incident, Lane, Outgoing, RESERVED, Report, Tag};
+use super::lane::{Attended, Departure, Entry, Full, Incident, Lane, Outgoing, RESERVED, Report, Tag};
 use crate::calendar::Calendar;
 use crate::can::{BitRate, Command, Etag, Frame, Mailbox, Outcome, Payload, Priority};
 use crate::time::{Duration, Instant};
@@ -96,11 +96,6 @@ pub enum EtchStep {
     /// Nothing is to be done before this instant, if nothing is submitted and no outcome comes.
     SleepUntil(Instant),
 }
-
-/// The queue has no room for the event; it has been counted.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Full;
 
 /// What went through the path. All counts wrap.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -219,10 +214,9 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         if !Self::HAS_SOFT {
             return Err(self.refuse());
         }
-        let key = event.deadline.since_epoch().as_ticks();
         if self.soft.is_idle() && now < event.expires_at {
-            self.soft.load_directly(key, Entry { outgoing: event, report });
-            return Ok(Some(self.load_soft(now, &event)));
+            self.soft.load_directly(|order| Entry::soft(&event, report, order));
+            return Ok(Some(self.load_soft(now, event.deadline, &event.frame)));
         }
         let Outgoing { tag, frame, deadline, expires_at } = event;
         self.queue_soft((tag, report), frame, deadline, expires_at)
@@ -237,10 +231,11 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         deadline: Instant,
         expires_at: Instant,
     ) -> Result<Option<Command>, Full> {
-        let key = deadline.since_epoch().as_ticks();
-        let outgoing = Outgoing { tag, frame, deadline, expires_at };
-        let pushed = self.soft.push(key, Entry { outgoing, report }, tag.reserve());
-        pushed.map(|()| None).map_err(|_| self.refuse())
+        let event = Outgoing { tag, frame, deadline, expires_at };
+        self.soft
+            .push(tag.reserve(), |order| Entry::soft(&event, report, order))
+            .map(|()| None)
+            .map_err(|Full| self.refuse())
     }
 
     /// Takes a non real-time event; the priority of its frame says how important it is. As
@@ -252,12 +247,11 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     // Its callers are in one function; otherwise the event is copied twice: 160 instructions more.
     #[inline(always)]
     pub fn submit_non_real_time(&mut self, now: Instant, event: Outgoing) -> Result<Option<Command>, Full> {
-        let key = u64::from(event.frame.id.priority().get());
         if self.non_real_time.is_idle() && now < event.expires_at {
-            self.non_real_time.load_directly(key, Entry { outgoing: event, report: Report::Deadline });
+            self.non_real_time.load_directly(|order| Entry::non_real_time(&event, order));
             return Ok(Some(Command::Load(Mailbox::NonRealTime, event.frame)));
         }
-        self.queue_non_real_time(event).map(|()| None)
+        self.queue_non_real_time(&event).map(|()| None)
     }
 
     /// Takes a non real-time frame of the services, which keeps for ever. It waits in the queue for the next
@@ -268,14 +262,13 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     pub fn queue_for_services(&mut self, frame: Frame) -> Result<(), Full> {
         let (tag, forever) = (Tag::SERVICES, Instant::FAR_FUTURE);
         let outgoing = Outgoing { tag, frame, deadline: forever, expires_at: forever };
-        self.queue_non_real_time(outgoing)
+        self.queue_non_real_time(&outgoing)
     }
 
     #[inline(always)]
-    fn queue_non_real_time(&mut self, outgoing: Outgoing) -> Result<(), Full> {
-        let key = u64::from(outgoing.frame.id.priority().get());
-        let entry = Entry { outgoing, report: Report::Deadline };
-        self.non_real_time.push(key, entry, outgoing.tag.reserve()).map_err(|_| self.refuse())
+    fn queue_non_real_time(&mut self, event: &Outgoing) -> Result<(), Full> {
+        let pushed = self.non_real_time.push(event.tag.reserve(), |order| Entry::non_real_time(event, order));
+        pushed.map_err(|Full| self.refuse())
     }
 
     /// Returns whether there is room for another non real-time event.
@@ -295,7 +288,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     }
 
     /// Gives up events that have not been sent. O(SOFT² + NRT²); at most one command for each mailbox.
-    pub fn recall(&mut self, which: impl Fn(&Outgoing) -> bool) -> [Option<Command>; 2] {
+    pub fn recall(&mut self, which: impl Fn(Tag, &Frame) -> bool) -> [Option<Command>; 2] {
         let soft = if Self::HAS_SOFT { self.soft.recall(&which) } else { None };
         [soft, self.non_real_time.recall(&which)]
     }
@@ -311,7 +304,7 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
 
     /// The identifiers of the events that meet the condition belong to somebody else now: they are discarded,
     /// and that is reported. One that is on the wire already is sent. O(SOFT + NRT).
-    pub fn revoke(&mut self, now: Instant, which: impl Fn(&Outgoing) -> bool) {
+    pub fn revoke(&mut self, now: Instant, which: impl Fn(Tag) -> bool) {
         if Self::HAS_SOFT {
             self.soft.revoke(now, &which);
         }
@@ -348,12 +341,13 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
             };
         }
         if Self::HAS_SOFT
-            && let Some(outgoing) = self.soft.load()
+            && let Some(entry) = self.soft.load()
         {
-            return EtchStep::Command(self.load_soft(now, &outgoing));
+            let (deadline, frame) = (entry.deadline(), *entry.frame());
+            return EtchStep::Command(self.load_soft(now, deadline, &frame));
         }
-        if let Some(outgoing) = self.non_real_time.load() {
-            return EtchStep::Command(Command::Load(Mailbox::NonRealTime, outgoing.frame));
+        if let Some(entry) = self.non_real_time.load() {
+            return EtchStep::Command(Command::Load(Mailbox::NonRealTime, *entry.frame()));
         }
         let promote = || self.soft.loaded().is_some() && now >= self.promotion_at;
         if Self::HAS_SOFT
@@ -392,11 +386,10 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     }
 
     #[inline]
-    fn load_soft(&mut self, now: Instant, outgoing: &Outgoing) -> Command {
-        let (priority, promotion_at) = self.map.assign(outgoing.deadline, now);
+    fn load_soft(&mut self, now: Instant, deadline: Instant, frame: &Frame) -> Command {
+        let (priority, promotion_at) = self.map.assign(deadline, now);
         self.promotion_at = promotion_at;
-        let id = outgoing.frame.id.with_priority(priority);
-        Command::Load(Mailbox::Soft, Frame::new(id, outgoing.frame.payload))
+        Command::Load(Mailbox::Soft, Frame::new(frame.id.with_priority(priority), frame.payload))
     }
 
     fn refuse(&mut self) -> Full {

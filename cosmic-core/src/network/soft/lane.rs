@@ -1,6 +1,6 @@
 //! One class of events on its way to the bus: a queue and the mailbox that its head is in.
 
-use super::queue::Queue;
+use super::queue::{Queue, Ranked};
 use crate::can::{Command, Etag, Frame, Id, Mailbox, Outcome};
 use crate::time::Instant;
 
@@ -60,20 +60,42 @@ pub enum IncidentKind {
     IdentifierLost,
 }
 
+/// The queue has no room for the event; it has been counted.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Full;
+
+/// An event that has left the node.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Sent {
+    /// Where it came from.
+    pub tag: Tag,
+    /// Its frame; that of a soft event without the priority that it had in the end.
+    pub frame: Frame,
+}
+
 /// What became of the event that was in a mailbox.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Departure {
     /// It was sent.
-    pub sent: Option<Outgoing>,
+    pub sent: Option<Sent>,
     /// The publisher must be told of this.
     pub incident: Option<Incident>,
 }
 
+/// An event on its way, as a lane keeps it: flat, so that it is no larger than it need be.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entry {
-    pub(super) outgoing: Outgoing,
-    pub(super) report: Report,
+    frame: Frame,
+    deadline: Instant,
+    expires_at: Instant,
+    order: u32,
+    tag: Tag,
+    report: Report,
+    /// Its rank is its deadline; otherwise the priority of its frame.
+    by_deadline: bool,
 }
 
 /// What the publisher of an event still hears of it.
@@ -87,22 +109,58 @@ pub(super) enum Report {
     IdentifierLost,
 }
 
+impl Ranked for Entry {
+    fn key(&self) -> u64 {
+        if self.by_deadline {
+            self.deadline.since_epoch().as_ticks()
+        } else {
+            self.frame.id.priority().get().into()
+        }
+    }
+
+    fn order(&self) -> u32 {
+        self.order
+    }
+}
+
 impl Entry {
+    /// A soft real-time event.
+    #[inline]
+    pub(super) const fn soft(event: &Outgoing, report: Report, order: u32) -> Self {
+        let &Outgoing { tag, frame, deadline, expires_at } = event;
+        Self { frame, deadline, expires_at, order, tag, report, by_deadline: true }
+    }
+
+    /// A non real-time event.
+    #[inline]
+    pub(super) const fn non_real_time(event: &Outgoing, order: u32) -> Self {
+        let &Outgoing { tag, frame, deadline, expires_at } = event;
+        Self { frame, deadline, expires_at, order, tag, report: Report::Deadline, by_deadline: false }
+    }
+
+    pub(super) const fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    pub(super) const fn deadline(&self) -> Instant {
+        self.deadline
+    }
+
     fn attention_at(&self) -> Instant {
         // An event without deadline can expire, too.
-        let expires_at = self.outgoing.expires_at;
+        let expires_at = self.expires_at;
         match self.report {
-            Report::Deadline => expires_at.min(self.outgoing.deadline),
+            Report::Deadline => expires_at.min(self.deadline),
             Report::Expiry | Report::IdentifierLost => expires_at,
         }
     }
 
     /// What has become of it by now, if anything. The caller discards what has expired.
     fn examine(&mut self, now: Instant) -> Option<IncidentKind> {
-        if now >= self.outgoing.expires_at {
+        if now >= self.expires_at {
             return Some(self.expiry());
         }
-        if self.report == Report::Deadline && now >= self.outgoing.deadline {
+        if self.report == Report::Deadline && now >= self.deadline {
             self.report = Report::Expiry;
             return Some(IncidentKind::MissedDeadline);
         }
@@ -119,22 +177,25 @@ impl Entry {
 
     fn lose_identifier(&mut self, now: Instant) {
         // What has expired already stays expired.
-        if self.outgoing.expires_at > now {
-            self.outgoing.expires_at = now;
+        if self.expires_at > now {
+            self.expires_at = now;
             self.report = Report::IdentifierLost;
         }
     }
 
-    fn incident(&self, kind: IncidentKind) -> Incident {
-        Incident { tag: self.outgoing.tag, kind }
+    /// Gives it this etag, if it comes from this source. Returns whether it had another.
+    fn rename(&mut self, tag: Tag, etag: Etag) -> bool {
+        let id = self.frame.id;
+        let old = self.tag == tag && id.etag() != etag;
+        if old {
+            self.frame.id = Id::new(id.priority(), id.tx_node(), etag);
+        }
+        old
     }
-}
 
-#[derive(Clone, Copy, Debug)]
-struct Loaded {
-    key: u64,
-    order: u32,
-    entry: Entry,
+    fn incident(&self, kind: IncidentKind) -> Incident {
+        Incident { tag: self.tag, kind }
+    }
 }
 
 /// What becomes of the event in a mailbox when it comes back.
@@ -148,9 +209,8 @@ enum AndThen {
 #[derive(Clone, Debug)]
 pub(super) struct Lane<const N: usize> {
     mailbox: Mailbox,
+    /// The entry that is out of it is in the mailbox.
     queue: Queue<Entry, N>,
-    /// What is in the mailbox.
-    content: Option<Loaded>,
     /// A withdrawal of that has been requested.
     withdrawing: Option<AndThen>,
     /// No entry in the queue needs attention before this.
@@ -160,64 +220,57 @@ pub(super) struct Lane<const N: usize> {
 impl<const N: usize> Lane<N> {
     pub(super) const fn new(mailbox: Mailbox) -> Self {
         let (queue, attention_at) = (Queue::new(), Instant::FAR_FUTURE);
-        Self { mailbox, queue, content: None, withdrawing: None, attention_at }
+        Self { mailbox, queue, withdrawing: None, attention_at }
     }
 
     /// Frames that wait or are in the mailbox.
-    #[expect(clippy::arithmetic_side_effects, reason = "at most 255, and one")]
     pub(super) fn len(&self) -> usize {
-        self.queue.len() + usize::from(self.content.is_some())
+        self.queue.len()
     }
 
     /// Returns whether the mailbox is free and nothing goes before a new event.
     #[inline]
     pub(super) fn is_idle(&self) -> bool {
-        self.queue.is_empty() && self.content.is_none()
+        self.queue.is_empty()
     }
 
-    /// Leaves `reserve` places free. The frame in the mailbox comes back to the queue if it is withdrawn,
+    /// Adds an entry, made of its order; leaves `reserve` places free. The frame in the mailbox comes back to the queue if it is withdrawn,
     /// so it keeps its place there.
-    #[expect(clippy::arithmetic_side_effects, reason = "at most 255, one, and a few places")]
-    pub(super) fn push(&mut self, key: u64, entry: Entry, reserve: usize) -> Result<(), Entry> {
+    #[expect(clippy::arithmetic_side_effects, reason = "at most 255, and a few places")]
+    pub(super) fn push(&mut self, reserve: usize, entry: impl FnOnce(u32) -> Entry) -> Result<(), Full> {
         if self.len() + reserve >= N {
-            return Err(entry);
+            return Err(Full);
         }
-        self.attention_at = self.attention_at.min(entry.attention_at());
-        self.queue.push(key, entry)
+        self.queue.push(|order| {
+            let entry = entry(order);
+            self.attention_at = self.attention_at.min(entry.attention_at());
+            entry
+        });
+        Ok(())
     }
 
     /// Puts an entry into the mailbox past the queue; only when the lane [is idle](Self::is_idle).
     #[inline]
-    pub(super) fn load_directly(&mut self, key: u64, entry: Entry) {
-        self.content = Some(Loaded { key, order: 0, entry });
+    pub(super) fn load_directly(&mut self, entry: impl FnOnce(u32) -> Entry) {
+        self.queue.push_out(entry);
     }
 
     /// Loads the head, if the mailbox is free.
-    pub(super) fn load(&mut self) -> Option<Outgoing> {
-        if self.content.is_some() {
-            return None;
-        }
-        let (key, order, entry) = self.queue.pop()?;
-        self.content = Some(Loaded { key, order, entry });
-        Some(entry.outgoing)
+    pub(super) fn load(&mut self) -> Option<&Entry> {
+        self.queue.take_out()
     }
 
     /// Returns whether an event waits that goes before the one in the mailbox.
     pub(super) fn is_overtaken(&self) -> bool {
-        match (self.pending(), self.queue.first_key()) {
-            (Some(loaded), Some(first)) => first < loaded.key,
+        match (self.loaded(), self.queue.first()) {
+            (Some(loaded), Some(first)) => first.key() < loaded.key(),
             _ => false,
         }
     }
 
-    /// What is in the mailbox, unless it is being withdrawn.
-    fn pending(&self) -> Option<&Loaded> {
-        self.content.as_ref().filter(|_| self.withdrawing.is_none())
-    }
-
     /// What is in the mailbox and not being withdrawn.
-    pub(super) fn loaded(&self) -> Option<&Outgoing> {
-        self.pending().map(|loaded| &loaded.entry.outgoing)
+    pub(super) fn loaded(&self) -> Option<&Entry> {
+        if self.withdrawing.is_none() { self.queue.out() } else { None }
     }
 
     /// Asks for the frame in the mailbox, to send it later or under another identifier.
@@ -226,16 +279,16 @@ impl<const N: usize> Lane<N> {
     }
 
     fn withdraw_and(&mut self, then: AndThen) -> Option<Command> {
-        self.pending()?;
+        self.loaded()?;
         self.withdrawing = Some(then);
         Some(Command::Withdraw(self.mailbox))
     }
 
     /// Removes events that have not been sent: from the queue at once, from the mailbox by the command
     /// that is returned. O(N²), and O(N) for one event.
-    pub(super) fn recall(&mut self, which: impl Fn(&Outgoing) -> bool) -> Option<Command> {
-        while self.queue.take_where(|entry| which(&entry.outgoing)).is_some() {}
-        if !self.content.as_ref().is_some_and(|loaded| which(&loaded.entry.outgoing)) {
+    pub(super) fn recall(&mut self, which: impl Fn(Tag, &Frame) -> bool) -> Option<Command> {
+        while self.queue.take_where(|entry| which(entry.tag, &entry.frame)).is_some() {}
+        if !self.queue.out().is_some_and(|loaded| which(loaded.tag, &loaded.frame)) {
             return None;
         }
         // Once only is the frame asked for.
@@ -247,37 +300,29 @@ impl<const N: usize> Lane<N> {
     /// The channel of this source has another etag: what has not been sent goes under the new one, as far
     /// as it can still be withdrawn. O(N).
     pub(super) fn rename(&mut self, tag: Tag, etag: Etag) -> Option<Command> {
-        let renamed = |outgoing: &mut Outgoing| {
-            let id = outgoing.frame.id;
-            let old = outgoing.tag == tag && id.etag() != etag;
-            if old {
-                outgoing.frame.id = Id::new(id.priority(), id.tx_node(), etag);
-            }
-            old
-        };
-        for entry in self.queue.iter_mut() {
-            renamed(&mut entry.outgoing);
+        for entry in self.queue.waiting_mut() {
+            entry.rename(tag, etag);
         }
-        let is_old = self.content.as_mut().is_some_and(|loaded| renamed(&mut loaded.entry.outgoing));
+        let is_old = self.queue.out_mut().is_some_and(|loaded| loaded.rename(tag, etag));
         // What is being withdrawn comes back anyway.
         if is_old { self.withdraw() } else { None }
     }
 
     /// The identifier of what meets the condition is not its own any more: it is discarded. O(N).
-    pub(super) fn revoke(&mut self, now: Instant, which: impl Fn(&Outgoing) -> bool) {
-        for entry in self.queue.iter_mut().filter(|entry| which(&entry.outgoing)) {
+    pub(super) fn revoke(&mut self, now: Instant, which: impl Fn(Tag) -> bool) {
+        for entry in self.queue.waiting_mut().filter(|entry| which(entry.tag)) {
             entry.lose_identifier(now);
         }
-        if let Some(loaded) = &mut self.content
-            && which(&loaded.entry.outgoing)
+        if let Some(loaded) = self.queue.out_mut()
+            && which(loaded.tag)
         {
             match &mut self.withdrawing {
                 Some(AndThen::Expire | AndThen::Forget) => {}
                 Some(then @ AndThen::Requeue) => {
-                    loaded.entry.lose_identifier(now);
+                    loaded.lose_identifier(now);
                     *then = AndThen::Expire;
                 }
-                None => loaded.entry.lose_identifier(now),
+                None => loaded.lose_identifier(now),
             }
         }
         // The next call looks through all of them.
@@ -286,26 +331,26 @@ impl<const N: usize> Lane<N> {
 
     /// The mailbox has become empty.
     pub(super) fn on_outcome(&mut self, outcome: Outcome, at: Instant) -> Departure {
-        let Some(loaded) = self.content.take() else { return Departure::default() };
-        let then = self.withdrawing.take().unwrap_or(AndThen::Requeue);
         let mut departure = Departure::default();
-        match (outcome, then) {
+        let Some(loaded) = self.queue.out() else { return departure };
+        match (outcome, self.withdrawing.take().unwrap_or(AndThen::Requeue)) {
             (Outcome::Sent, _) => {
-                departure.sent = Some(loaded.entry.outgoing);
-                if loaded.entry.report == Report::Deadline && at > loaded.entry.outgoing.deadline {
-                    departure.incident = Some(loaded.entry.incident(IncidentKind::MissedDeadline));
+                departure.sent = Some(Sent { tag: loaded.tag, frame: loaded.frame });
+                if loaded.report == Report::Deadline && at > loaded.deadline {
+                    departure.incident = Some(loaded.incident(IncidentKind::MissedDeadline));
                 }
             }
             (Outcome::Withdrawn, AndThen::Requeue) => {
-                self.attention_at = self.attention_at.min(loaded.entry.attention_at());
-                // There is room: `push` counts the mailbox.
-                let _ = self.queue.put_back(loaded.key, loaded.order, loaded.entry);
+                self.attention_at = self.attention_at.min(loaded.attention_at());
+                self.queue.put_back();
             }
             (Outcome::Withdrawn, AndThen::Expire) => {
-                departure.incident = Some(loaded.entry.incident(loaded.entry.expiry()));
+                departure.incident = Some(loaded.incident(loaded.expiry()));
             }
             (Outcome::Withdrawn, AndThen::Forget) => {}
         }
+        // Unless it has been put back.
+        self.queue.remove_out();
         departure
     }
 
@@ -315,32 +360,32 @@ impl<const N: usize> Lane<N> {
     }
 
     pub(super) fn next_attention(&self) -> Instant {
-        self.pending().map_or(self.attention_at, |loaded| self.attention_at.min(loaded.entry.attention_at()))
+        self.loaded().map_or(self.attention_at, |loaded| self.attention_at.min(loaded.attention_at()))
     }
 
     /// Reports or discards one event: O(N). What is discarded from the mailbox is reported when it has
     /// left it.
     pub(super) fn attend(&mut self, now: Instant) -> Option<Attended> {
-        if let Some(loaded) = &mut self.content
-            && self.withdrawing.is_none()
+        if self.withdrawing.is_none()
+            && let Some(loaded) = self.queue.out_mut()
         {
-            match loaded.entry.examine(now) {
+            match loaded.examine(now) {
                 Some(IncidentKind::Expired | IncidentKind::IdentifierLost) => {
                     return self.withdraw_and(AndThen::Expire).map(Attended::Command);
                 }
-                Some(kind) => return Some(Attended::Incident(loaded.entry.incident(kind))),
+                Some(kind) => return Some(Attended::Incident(loaded.incident(kind))),
                 None => {}
             }
         }
         if now < self.attention_at {
             return None;
         }
-        let expired = |entry: &Entry| now >= entry.outgoing.expires_at;
+        let expired = |entry: &Entry| now >= entry.expires_at;
         if let Some(entry) = self.queue.take_where(expired) {
             return Some(Attended::Incident(entry.incident(entry.expiry())));
         }
         let mut next = Instant::FAR_FUTURE;
-        for entry in self.queue.iter_mut() {
+        for entry in self.queue.waiting_mut() {
             if let Some(kind) = entry.examine(now) {
                 return Some(Attended::Incident(entry.incident(kind)));
             }

@@ -1,7 +1,7 @@
 //! The soft and non real-time path: the event-triggered channel handler (ETCH).
 //!
 //! Soft real-time events wait in the order of their deadlines, non real-time events in the order of
-//! their importance, each class in a [`Queue`] of its own and with one transmit mailbox of its own (a
+//! their importance, each class in a queue of its own and with one transmit mailbox of its own (a
 //! lane). Only the head of a queue is in its mailbox. The [`Etch`] maps the remaining time of the
 //! head on the priority field of the identifier, so that the bus as a whole serves the earliest deadline
 //! first (COSMIC section IV; Livani, Kaiser, Jia 1999):
@@ -17,6 +17,5 @@ mod etch;
 mod lane;
 mod queue;
 
-pub use etch::{Etch, EtchCounters, EtchStep, Full, PriorityMap};
-pub use lane::{Departure, Incident, IncidentKind, Outgoing, RESERVED, Tag};
-pub use queue::Queue;
+pub use etch::{Etch, EtchCounters, EtchStep, PriorityMap};
+pub use lane::{Departure, Full, Incident, IncidentKind, Outgoing, RESERVED, Sent, Tag};

@@ -39,7 +39,7 @@ mod app {
         (Shared { node }, Local { calendar, urgent, outcomes, status, other, events })
     }
 
-    #[task(shared = [node], priority = 1)] async fn turn(cx: turn::Context) { follow(&angle::channel(), &angle::SLOT, cx.shared.node).await }
+    #[task(shared = [node], priority = 1)] async fn turn(cx: turn::Context) { follow(const { &angle::channel() }, &angle::SLOT, cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn heat(cx: heat::Context) { answer(&WISH, &HEAT, cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn report(cx: report::Context) { answer(&REQUEST, &REPORT, cx.shared.node).await }
 

@@ -42,8 +42,8 @@ mod app {
     #[task(shared = [node], priority = 1)] async fn beat(cx: beat::Context) { super::beat(cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn wish(cx: wish::Context) { ask(&WISH, channels::wish::PERIOD, cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn request(cx: request::Context) { ask(&REQUEST, channels::request::PERIOD, cx.shared.node).await }
-    #[task(shared = [node], priority = 1)] async fn angle(cx: angle::Context) { listen("angle", &channels::angle::channel(), cx.shared.node).await }
-    #[task(shared = [node], priority = 1)] async fn torque(cx: torque::Context) { listen("torque", &channels::torque::channel(), cx.shared.node).await }
+    #[task(shared = [node], priority = 1)] async fn angle(cx: angle::Context) { listen("angle", const { &channels::angle::channel() }, cx.shared.node).await }
+    #[task(shared = [node], priority = 1)] async fn torque(cx: torque::Context) { listen("torque", const { &channels::torque::channel() }, cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn heat(cx: heat::Context) { listen("heat", &HEAT, cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn report(cx: report::Context) { listen("report", &REPORT, cx.shared.node).await }
     #[task(shared = [node], priority = 1)] async fn exceptions(cx: exceptions::Context) { report_exceptions(cx.shared.node).await }
@@ -63,13 +63,13 @@ async fn beat(mut node: impl Mutex<T = Node<Hub>>) {
     let _ = publish_in_slots(&BEAT, &channels::beat::SLOT, LEAD, &mut node, next).await;
 }
 
-async fn ask(channel: &Channel<u16>, period: Duration, mut node: impl Mutex<T = Node<Hub>>) {
+async fn ask(channel: &'static Channel<u16>, period: Duration, mut node: impl Mutex<T = Node<Hub>>) {
     let mut numbers = 1..;
     let next = |_: &mut _| numbers.next().unwrap_or_default();
     let _ = publish_every(channel, period, &mut node, next).await;
 }
 
-async fn listen(name: &str, channel: &Channel<u16>, mut node: impl Mutex<T = Node<Hub>>) {
+async fn listen(name: &str, channel: &'static Channel<u16>, mut node: impl Mutex<T = Node<Hub>>) {
     settled(&mut node).await;
     let Ok(events) = Subscriber::subscribe(channel, QUEUE, &mut node) else { return };
     loop {

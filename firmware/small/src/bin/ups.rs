@@ -9,7 +9,7 @@ use small::{plan::nodes::ups::NODE, *};
 mod last_words;
 
 cosmic_core::capacity! {
-    Room { slots: 0, channels: 2, subscriptions: 2, events: 4, soft: 0, non_real_time: 4 }
+    Room { slots: 0, channels: 2, subscriptions: 2, events: 4, soft: 0, non_real_time: 4, exceptions: 0, urgent: 0 }
 }
 
 /// What the node is made of.
@@ -27,22 +27,21 @@ impl System for Ups {
 mod app {
     use super::*;
     #[shared] struct Shared { node: Node<Ups> }
-    #[local] struct Local { urgent: Urgent<Ups>, outcomes: Outcomes<Ups>, status: Status<Ups>, other: Other<Ups>, events: Events }
+    #[local] struct Local { outcomes: Outcomes<Ups>, status: Status<Ups>, other: Other<Ups>, events: Events }
 
     #[init(local = [storage: Storage<Ups> = Storage::new()])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let board = Stm32F405::start(boards::resources!(cx.device), &NODE).expect("the plan fits the board");
         let services = NamingService::new(NODE.uid, 0, Stm32F405::now());
         let parts = cosmic_rtic::start_with(board, &NODE, cx.local.storage, services, (), ());
-        let Parts { urgent, outcomes, status, other, events, node, .. } = parts;
+        let Parts { outcomes, status, other, events, node, .. } = parts;
         spawn!(events(), report());
-        (Shared { node }, Local { urgent, outcomes, status, other, events })
+        (Shared { node }, Local { outcomes, status, other, events })
     }
 
     #[task(shared = [node], priority = 1)] async fn report(cx: report::Context) { answer(&REQUEST, &REPORT, cx.shared.node).await }
 
-    // The node, one task for each of its parts.
-    #[task(binds = CAN1_RX0, local = [urgent], priority = 6)] fn can_urgent(cx: can_urgent::Context) { cx.local.urgent.run() }
+    // The node, one task for each of its parts; none for the urgent FIFO, where the frames of a clock would be.
     #[task(binds = CAN1_TX, local = [outcomes], priority = 5)] fn can_sent(cx: can_sent::Context) { cx.local.outcomes.run() }
     #[task(binds = CAN1_SCE, local = [status], priority = 5)] fn can_status(cx: can_status::Context) { cx.local.status.run() }
     #[task(binds = CAN1_RX1, local = [other], priority = 4)] fn can_other(cx: can_other::Context) { cx.local.other.run() }
