@@ -8,7 +8,7 @@ use small::plan::{channels::torque, nodes::full_logs::NODE};
 use small::*;
 
 cosmic_core::capacity! {
-    Room { slots: 2, channels: 8, subscriptions: 4, events: 8, soft: 4, non_real_time: 4 }
+    Room { slots: 2, channels: 8, subscriptions: 3, events: 8, soft: 3, non_real_time: 3 }
 }
 
 /// What the node is made of.
@@ -17,7 +17,7 @@ pub struct Full;
 impl System for Full {
     type Board = Stm32F405;
     type Capacity = Room;
-    type Services = FollowingServices<8, 16, 4, 8, 8>;
+    type Services = FollowingServices<6, 12, 3, 8, 8>;
     type Observer = Log;
 }
 
