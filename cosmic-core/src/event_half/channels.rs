@@ -9,7 +9,7 @@ use crate::event_layer::{
     SubscribeError, Subscription, encode,
 };
 use crate::network::fragments::Message;
-use crate::network::hard::{Attach, AttachError, Attaching, BufferId, Detaching, HrtBuffers, Role};
+use crate::network::hard::{Attach, AttachError, Attaching, BufferId, Counters, Detaching, HrtBuffers, Role};
 use crate::network::soft::{self, Outgoing, Tag};
 use crate::services::{Declaration, Services, TooMany};
 use crate::time::Instant;
@@ -243,7 +243,8 @@ impl<
 
     /// Fetches the next event of a subscription. Content that is no value of the channel's type is passed
     /// over, with an exception. O(1) for each event that is fetched.
-    #[inline]
+    // In a task that waits for the events of its channel, which calls it once.
+    #[inline(always)]
     pub fn next<C: Content>(&mut self, subscription: &Subscription<C>) -> Option<Delivered<C>> {
         loop {
             match self.layer.next(subscription)? {
@@ -380,6 +381,11 @@ impl<
         {
             let mut detaching = Detaching::new(buffer, role);
             while !self.hard.with(|buffers| buffers.detach_step(&mut detaching)) {}
+            let is_gone = self.hard.with(|buffers| buffers.etag(buffer)).is_none();
+            if is_gone && let Some(seen) = self.seen.get_mut(buffer.index()) {
+                // The next one in its place counts from zero.
+                *seen = Counters::NONE.exceptional();
+            }
         }
     }
 

@@ -4,7 +4,7 @@ use super::{EventHalf, HardAccess, Input, Own, PUBLISHES, SERVICES, Step};
 use crate::calendar::Slot;
 use crate::can::{Command, Frame, Mailbox, Outcome, Priority, TxNode};
 use crate::event_layer::{Accepted, Declared, Exception, ExceptionKind, Received};
-use crate::network::hard::{BufferId, Counters, HrtBuffers};
+use crate::network::hard::{BufferId, HrtBuffers};
 use crate::network::soft::{self, Tag};
 use crate::services::{NodeView, Request, Services};
 use crate::time::Instant;
@@ -38,6 +38,7 @@ impl<
     pub fn on_input(&mut self, input: &Input, at: Instant) -> bool {
         match input {
             Input::Frame(frame) => self.on_frame(frame, at),
+            Input::Notice(buffer) if SLOTS > 0 => self.on_notice(*buffer, at),
             other => self.on_other(other, at),
         }
     }
@@ -47,10 +48,8 @@ impl<
     fn on_other(&mut self, input: &Input, at: Instant) -> bool {
         match *input {
             // Taken by the caller.
-            Input::Frame(_) => {}
+            Input::Frame(_) | Input::Notice(_) => {}
             Input::Outcome(mailbox, outcome) => self.on_outcome(mailbox, outcome, at),
-            Input::Notice(buffer) if SLOTS > 0 => return self.on_notice(buffer, at),
-            Input::Notice(_) => {}
             Input::Lost(times) => self.raise_times(None, ExceptionKind::InputLost, times, at),
             Input::Overrun(times) => self.raise_times(None, ExceptionKind::ReceiveOverrun, times, at),
             Input::BusOff => self.raise(None, ExceptionKind::BusOff, at),
@@ -113,34 +112,32 @@ impl<
     }
 
     /// Something has happened to an HRT message buffer. Returns whether something may be due.
+    #[inline(never)]
     fn on_notice(&mut self, buffer: BufferId, now: Instant) -> bool {
+        let (frame, exceptional) =
+            self.hard.with(|buffers| (buffers.take(buffer), buffers.is_exceptional(buffer)));
         let mut due = false;
-        let Some(seen) = self.seen.get_mut(buffer.index()) else { return due };
-        let (delivery, exceptional) =
-            self.hard.with(|buffers| (buffers.take(buffer), buffers.exceptional(buffer, seen)));
-        if let Some(delivery) = delivery {
-            let frame = delivery.frame();
-            if let Received::Undelivered(tag) = self.layer.receive_hard(&frame, now) {
-                due = self.deliver(tag, &frame, now);
-            }
+        if let Some(frame) = frame
+            && let Received::Undelivered(tag) = self.layer.receive_hard(&frame, now)
+        {
+            // A copy, so that the frame need not be in memory otherwise.
+            due = self.deliver(tag, &{ frame }, now);
         }
-        if let Some((before, counters)) = exceptional {
-            let (mismatch, etag) = self.hard.with(|buffers| (buffers.is_inhibited(), buffers.etag(buffer)));
-            let subject = etag.and_then(|etag| self.layer.subject_of(etag));
-            self.raise_hard(subject, (&before, &counters), mismatch, now);
-            due = true;
+        if exceptional {
+            self.raise_hard(buffer, now);
         }
-        due
+        due || exceptional
     }
 
     /// Raises what has happened in the slots of a buffer.
-    fn raise_hard(
-        &mut self,
-        subject: Option<Subject>,
-        (before, after): (&Counters, &Counters),
-        mismatch: bool,
-        at: Instant,
-    ) {
+    #[inline(never)]
+    fn raise_hard(&mut self, buffer: BufferId, at: Instant) {
+        let (exceptional, mismatch) =
+            self.hard.with(|buffers| (buffers.take_exceptional(buffer), buffers.is_inhibited()));
+        let Some((etag, after)) = exceptional else { return };
+        let Some(seen) = self.seen.get_mut(buffer.index()) else { return };
+        let before = core::mem::replace(seen, after);
+        let subject = self.layer.subject_of(etag);
         let silence = if mismatch { ExceptionKind::CalendarMismatch } else { ExceptionKind::ClockOutOfBound };
         let kinds = [
             ExceptionKind::OmissionDegreeExceeded,
@@ -151,11 +148,8 @@ impl<
             ExceptionKind::ContradictoryEvent,
             silence,
         ];
-        let counts = before.exceptional().into_iter().zip(after.exceptional());
-        for (kind, (before, after)) in kinds.into_iter().zip(counts) {
-            // A buffer that was attached anew counts from zero.
-            let times = after.checked_sub(before).unwrap_or(after);
-            self.exceptions.raise_times(Exception { subject, kind, at }, times);
+        for (kind, (before, after)) in kinds.into_iter().zip(before.into_iter().zip(after)) {
+            self.exceptions.raise_times(Exception { subject, kind, at }, after.wrapping_sub(before));
         }
         self.wake_exception_handler();
     }
@@ -330,7 +324,10 @@ impl<
     fn deliver(&mut self, tag: Tag, frame: &Frame, received_at: Instant) -> bool {
         let awaited = self.layer.next_overdue();
         let accepted = self.layer.deliver(tag, frame, received_at);
+        if accepted == Accepted::Delivered {
+            return self.layer.next_overdue() < awaited;
+        }
         self.note(accepted, received_at);
-        accepted != Accepted::Delivered || self.layer.next_overdue() < awaited
+        true
     }
 }

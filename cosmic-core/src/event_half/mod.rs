@@ -39,7 +39,7 @@ use crate::can::{Command, ErrorCounters, TxNode};
 use crate::event_layer::{
     Accepted, ChannelCounters, Declared, EventLayer, Exception, ExceptionKind, Exceptions,
 };
-use crate::network::hard::{Counters, HrtBuffers, Role};
+use crate::network::hard::{Counters, Exceptional, HrtBuffers, Role};
 use crate::network::soft::{self, Etch, EtchCounters, PriorityMap, Tag};
 use crate::services::{NodeView, Services};
 use crate::time::Instant;
@@ -138,8 +138,8 @@ pub struct EventHalf<
     foreign: u32,
     layer: EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>,
     etch: Etch<SOFT, NRT>,
-    /// What the counters of each HRT message buffer were when they were last looked at.
-    seen: [Counters; SLOTS],
+    /// What the exceptional counts of each HRT message buffer were when they were last looked at.
+    seen: [Exceptional; SLOTS],
     exceptions: Exceptions<EXCEPTIONS>,
     exception_waker: Option<Waker>,
     services: S,
@@ -173,7 +173,7 @@ impl<
             own: Own::new(tx_node),
             layer: EventLayer::new(may_send_as, map),
             etch: Etch::new(map),
-            seen: [Counters::NONE; SLOTS],
+            seen: [Counters::NONE.exceptional(); SLOTS],
             exceptions: Exceptions::new(),
             exception_waker: None,
             foreign: 0,

@@ -112,9 +112,29 @@ impl GlobalClock {
     #[inline]
     pub const fn to_local(&self, global: GlobalInstant) -> Instant {
         let span = global.signed_since(self.global);
-        let near = self.local.offset_by(span.wrapping_add(self.inverse.gain(span)));
-        // The inverse rate is rounded, which shows after seconds. What is left of it is made up here.
-        near.offset_by(global.signed_since(self.to_global(near)))
+        let span = if span.wrapping_add(1 << 30).cast_unsigned() >> 31 == 0 {
+            let (low, start) =
+                (global.since_epoch().as_ticks() as u32, self.global.since_epoch().as_ticks() as u32);
+            self.near_span(low.wrapping_sub(start).cast_signed()) as i64
+        } else {
+            self.local_span(span)
+        };
+        self.local.offset_by(span)
+    }
+
+    /// How long a global span is in local time. The inverse rate is rounded, which shows after seconds; but the local span
+    /// that it gives is near enough to ask for what this clock gains in it.
+    #[inline]
+    const fn local_span(&self, span: i64) -> i64 {
+        span.wrapping_sub(self.rate.gain(span.wrapping_add(self.inverse.gain(span))))
+    }
+
+    /// As [`local_span`](Self::local_span), in 32 bits, for a span of about a second either way: as all are between two
+    /// synchronisations.
+    #[inline]
+    #[expect(clippy::arithmetic_side_effects, reason = "a gain is at most a thousandth of a span")]
+    const fn near_span(&self, span: i32) -> i32 {
+        span - self.rate.gain_near(span + self.inverse.gain_near(span))
     }
 
     /// ε: at the local instant `now` this clock is no further than this from global time.
@@ -233,6 +253,17 @@ mod tests {
             let then = clock.global.offset_by(span);
             let back = clock.to_global(clock.to_local(then));
             prop_assert!(back.signed_since(then).abs() <= 1, "{}", back.signed_since(then));
+        }
+
+        #[test]
+        fn near_spans_are_converted_as_any(clock in clocks(), span in -(1i32 << 30)..1 << 30) {
+            prop_assert_eq!(i64::from(clock.near_span(span)), clock.local_span(span.into()));
+        }
+
+        #[test]
+        fn near_and_far_instants_are_converted_alike(clock in clocks(), span in -(1i64 << 31)..1 << 31) {
+            let then = clock.global.offset_by(span);
+            prop_assert_eq!(clock.to_local(then), clock.local.offset_by(clock.local_span(span)));
         }
 
         #[test]

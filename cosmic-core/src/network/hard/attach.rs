@@ -4,8 +4,9 @@
 //! while it holds them would delay that task, so both go in steps: one place at a time.
 
 use super::buffers::{Buffer, BufferId, HardMailbox, HrtBuffers, LocalSlot, Role};
-use crate::calendar::{Calendar, Slot};
+use crate::calendar::{Calendar, Slot, SlotTimes};
 use crate::can::{Id, Priority};
+use crate::time::Duration;
 
 /// A request to take part in a slot of the calendar; see [`HrtBuffers::attach`].
 #[derive(Clone, Copy, Debug)]
@@ -98,7 +99,7 @@ impl<const N: usize> HrtBuffers<N> {
         let buffer = self.buffer_mut(at).ok_or(AttachError::Full)?;
         buffer.role.publishes |= attaching.role.publishes;
         buffer.role.subscribes |= attaching.role.subscribes;
-        buffer.window = buffer.window.max(attaching.slot.times.delivery);
+        buffer.window = buffer.window.max(attaching.slot.delivery);
         let place = self.slots.get_mut(usize::from(place)).ok_or(AttachError::Full)?;
         *place = Some(LocalSlot { buffer: at, attached: revision, ..attaching.slot });
         self.revision = revision;
@@ -190,11 +191,14 @@ pub(crate) struct Attaching {
 impl Attaching {
     pub(crate) fn new(request: &Attach<'_>) -> Self {
         let Slot { etag, publisher, period, phase, periodic, .. } = *request.slot;
-        let times = request.calendar.slot_times(request.slot);
+        let SlotTimes { deadline, delivery, .. } = request.calendar.slot_times(request.slot);
+        // The frame may be loaded late by the release jitter; it has its full time all the same.
+        let jitter = request.calendar.segment().release_jitter.as_ticks();
+        let deadline = Duration::from_ticks(deadline.as_ticks().saturating_add(jitter));
         Self {
             id: Id::new(Priority::HARD, publisher, etag),
             role: request.role,
-            slot: LocalSlot { buffer: 0, periodic, period, phase, times, attached: 0 },
+            slot: LocalSlot { buffer: 0, periodic, period, phase, deadline, delivery, attached: 0 },
             next: Step::Look(0),
             known: None,
             free_buffer: None,

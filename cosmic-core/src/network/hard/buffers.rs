@@ -1,10 +1,9 @@
 //! HRT message buffers: what the two halves of a node share.
 
-use super::counters::Counters;
-use crate::calendar::SlotTimes;
+use super::counters::{Counters, Exceptional};
 use crate::can::{Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 use crate::network::id_map::IdMap;
-use crate::time::{Duration, GlobalClock, GlobalInstant, Instant};
+use crate::time::{Duration, GlobalClock, Instant};
 
 /// A message buffer: one for each hard real-time channel and publisher that concern this node.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -33,29 +32,6 @@ impl Role {
     const SUBSCRIBER: Self = Self { publishes: false, subscribes: true };
 }
 
-/// An event that has become visible at its delivery instant.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Delivery {
-    /// The channel.
-    pub etag: Etag,
-    /// Who published it.
-    pub publisher: TxNode,
-    /// The data.
-    pub payload: Payload,
-    /// When the frame arrived, or was sent by this node itself.
-    pub received_at: Instant,
-    /// The delivery instant that the calendar gives it.
-    pub delivered_at: GlobalInstant,
-}
-
-impl Delivery {
-    /// The frame that brought it.
-    pub const fn frame(&self) -> Frame {
-        Frame::new(Id::new(Priority::HARD, self.publisher, self.etag), self.payload)
-    }
-}
-
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Buffer {
     pub(super) id: Id,
@@ -68,10 +44,12 @@ pub(super) struct Buffer {
     in_mailbox: Payload,
     /// Received in the slot that is open, not yet visible.
     pub(super) arriving: Option<(Payload, Instant)>,
-    /// Visible, not yet fetched: what, when it arrived, when it was to be delivered.
-    pub(super) visible: Option<(Payload, Instant, GlobalInstant)>,
+    /// Visible, not yet fetched.
+    pub(super) visible: Option<Payload>,
     pub(super) window: Duration,
     pub(super) counters: Counters,
+    /// The event layer has not seen all exceptional counts yet.
+    is_exceptional: bool,
 }
 
 /// A slot of the calendar in which this node takes part, as the dispatcher needs it.
@@ -81,17 +59,21 @@ pub(super) struct LocalSlot {
     pub(super) periodic: bool,
     pub(super) period: Duration,
     pub(super) phase: Duration,
-    pub(super) times: SlotTimes,
+    /// When a frame must have been sent, and when it is delivered, from the ready instant on.
+    pub(super) deadline: Duration,
+    pub(super) delivery: Duration,
     /// The revision with which it was attached.
     pub(super) attached: u32,
 }
 
 impl LocalSlot {
-    /// In nanoseconds: the instants of a slot are never further from now than this, while the clock is not
-    /// set and the dispatcher comes in time.
+    /// Returns whether an instant of the slot cannot be as far from now as this, in nanoseconds, while the clock is not set and
+    /// the dispatcher comes in time.
     #[inline]
-    pub(super) const fn longest_distance(&self) -> u64 {
-        self.period.as_ticks().saturating_add(self.times.delivery.as_ticks())
+    pub(super) const fn is_far(&self, distance: i64) -> bool {
+        // Nearly always ahead, by less than a period: found out first, since it takes less.
+        distance.cast_unsigned() > self.period.as_ticks()
+            && distance.unsigned_abs() > self.period.as_ticks().saturating_add(self.delivery.as_ticks())
     }
 }
 
@@ -165,13 +147,11 @@ impl<const N: usize> HrtBuffers<N> {
         (core::mem::take(&mut buffer.fresh), Some(buffer.id.tx_node()))
     }
 
-    /// Fetches the event that became visible last, once.
+    /// Fetches the event that became visible last, once: the frame that brought it.
     #[inline]
-    pub fn take(&mut self, id: BufferId) -> Option<Delivery> {
+    pub fn take(&mut self, id: BufferId) -> Option<Frame> {
         let buffer = self.buffer_mut(id.0)?;
-        let (payload, received_at, delivered_at) = buffer.visible.take()?;
-        let (etag, publisher) = (buffer.id.etag(), buffer.id.tx_node());
-        Some(Delivery { etag, publisher, payload, received_at, delivered_at })
+        Some(Frame::new(buffer.id, buffer.visible.take()?))
     }
 
     /// What has happened in the slots of this buffer.
@@ -179,16 +159,17 @@ impl<const N: usize> HrtBuffers<N> {
         Some(self.buffer(id.0)?.counters)
     }
 
-    /// What has happened in the slots of this buffer, if some of it is exceptional that was not in `seen`; and what that was
-    /// before.
+    /// Returns whether something exceptional has been counted since [`take_exceptional`](Self::take_exceptional).
     #[inline]
-    pub(crate) fn exceptional(&self, id: BufferId, seen: &mut Counters) -> Option<(Counters, Counters)> {
-        let counters = &self.buffer(id.0)?.counters;
-        let mut pairs = counters.exceptional().into_iter().zip(seen.exceptional());
-        if pairs.all(|(now, before)| now == before) {
-            return None;
-        }
-        Some((core::mem::replace(seen, *counters), *counters))
+    pub(crate) fn is_exceptional(&self, id: BufferId) -> bool {
+        self.buffer(id.0).is_some_and(|buffer| buffer.is_exceptional)
+    }
+
+    /// The channel of a buffer, and what is exceptional of what has happened in its slots.
+    pub(crate) fn take_exceptional(&mut self, id: BufferId) -> Option<(Etag, Exceptional)> {
+        let buffer = self.buffer_mut(id.0)?;
+        buffer.is_exceptional = false;
+        Some((buffer.id.etag(), buffer.counters.exceptional()))
     }
 
     /// The present copy of the clock's parameters.
@@ -261,18 +242,13 @@ impl<const N: usize> HrtBuffers<N> {
             return None;
         }
         // A frame that was on the wire at its deadline and is sent after all may come too late for some.
-        buffer.counters.omitted = buffer.counters.omitted.wrapping_add(1);
+        buffer.count(|counters| &mut counters.omitted);
         Some(BufferId(loaded))
     }
 
     /// The buffer of a channel and publisher, if this node takes part in one of its slots.
     pub fn find(&self, etag: Etag, publisher: TxNode) -> Option<BufferId> {
         self.by_id.get(Id::new(Priority::HARD, publisher, etag).raw()).map(|at| BufferId(at as u8))
-    }
-
-    #[inline]
-    pub(super) fn slot(&self, at: u8) -> Option<&LocalSlot> {
-        self.slots.get(usize::from(at))?.as_ref()
     }
 
     /// What the dispatcher works on, in parts that can be held at once.
@@ -306,7 +282,15 @@ impl Buffer {
             visible: None,
             window: Duration::from_ticks(0),
             counters: Counters::NONE,
+            is_exceptional: false,
         }
+    }
+
+    /// Counts something that the application hears of as an exception.
+    pub(super) fn count(&mut self, which: impl FnOnce(&mut Counters) -> &mut u32) {
+        let count = which(&mut self.counters);
+        *count = count.wrapping_add(1);
+        self.is_exceptional = true;
     }
 
     /// Takes the fresh event, to be sent.
@@ -321,11 +305,12 @@ impl Buffer {
     fn arrived(&mut self, payload: Payload, received_at: Instant) {
         match self.arriving {
             Some((kept, first)) if received_at.saturating_since(first) <= self.window => {
-                let counters = &mut self.counters;
                 // A retransmission, since some node had rejected the first copy; or no copy at all.
-                let count =
-                    if kept == payload { &mut counters.duplicates } else { &mut counters.contradictory };
-                *count = count.wrapping_add(1);
+                if kept == payload {
+                    self.counters.duplicates = self.counters.duplicates.wrapping_add(1);
+                } else {
+                    self.count(|counters| &mut counters.contradictory);
+                }
             }
             stale => {
                 if stale.is_some() {
@@ -344,7 +329,7 @@ impl Buffer {
             self.counters.untimely = self.counters.untimely.wrapping_add(1);
         }
         if open && self.role.subscribes {
-            self.counters.skipped = self.counters.skipped.wrapping_add(1);
+            self.count(|counters| &mut counters.skipped);
         }
         arrived || open
     }
@@ -358,14 +343,18 @@ impl Buffer {
     }
 
     /// Makes what arrived since `opened` visible. Says whether there was anything.
-    pub(super) fn deliver(&mut self, opened: Instant, delivered_at: GlobalInstant) -> bool {
-        let Some((payload, received_at)) = self.arriving.take() else { return false };
-        if received_at < opened {
+    #[inline]
+    pub(super) fn deliver(&mut self, opened: Instant) -> bool {
+        let Some((payload, received_at)) = &self.arriving else { return false };
+        if *received_at < opened {
+            self.arriving = None;
             self.counters.untimely = self.counters.untimely.wrapping_add(1);
             return false;
         }
-        if self.visible.replace((payload, received_at, delivered_at)).is_some() {
-            self.counters.overrun = self.counters.overrun.wrapping_add(1);
+        let before = self.visible.replace(*payload);
+        self.arriving = None;
+        if before.is_some() {
+            self.count(|counters| &mut counters.overrun);
         }
         self.counters.delivered = self.counters.delivered.wrapping_add(1);
         true

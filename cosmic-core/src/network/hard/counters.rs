@@ -52,7 +52,7 @@ impl Counters {
 
     /// Those that the application hears of as exceptions: omitted, unused, skipped, missed, overrun,
     /// contradictory, inhibited.
-    pub(crate) const fn exceptional(&self) -> [u32; 7] {
+    pub(crate) const fn exceptional(&self) -> Exceptional {
         [
             self.omitted,
             self.unused,
@@ -64,3 +64,6 @@ impl Counters {
         ]
     }
 }
+
+/// Counts of what the application hears of, in the order of [`Counters::exceptional`].
+pub(crate) type Exceptional = [u32; 7];

@@ -15,7 +15,7 @@ pub enum CalendarStep {
     /// Something in this buffer concerns the event layer: an event has become visible, or a count has
     /// changed. Wake it, then poll again.
     Notify(BufferId),
-    /// An instant of the calendar has passed without anything to do. Poll again.
+    /// An instant of the calendar has passed without anything to do, or the next one is due already. Poll again.
     Continue,
     /// Nothing is due before this instant. Poll again then; earlier does no harm.
     SleepUntil(Instant),
@@ -31,13 +31,17 @@ enum Stage {
     Delivery,
 }
 
+/// The occurrence of a slot that is under way, or is waited for.
 #[derive(Clone, Copy, Debug)]
 struct Occurrence {
     ready: GlobalInstant,
     stage: Stage,
-    due: GlobalInstant,
     /// Which attachment of the slot this is of.
     attached: u32,
+}
+
+impl Occurrence {
+    const NONE: Self = Self { ready: GlobalInstant::EPOCH, stage: Stage::Ready, attached: 0 };
 }
 
 impl Next {
@@ -69,9 +73,13 @@ pub struct Dispatcher<const N: usize> {
     accuracy: Duration,
     release_jitter: Duration,
     gap: Duration,
-    occurrences: [Option<Occurrence>; N],
+    occurrences: [Occurrence; N],
+    /// When each of them is due next, apart from the rest so that the earliest is found fast; [`NEVER`]: there is no slot.
+    due: [GlobalInstant; N],
     /// The earliest of them.
     next: Next,
+    /// The clock is known to be within bound until then, from when that was asked. Asked once for several instants.
+    accurate_until: Instant,
     revision: u32,
 }
 
@@ -110,26 +118,24 @@ impl<const N: usize> Dispatcher<N> {
             accuracy: segment.accuracy,
             release_jitter: segment.release_jitter,
             gap: segment.gap(),
-            occurrences: [None; N],
+            occurrences: [Occurrence::NONE; N],
+            due: [NEVER; N],
             next: Next::UNKNOWN,
+            accurate_until: Instant::EPOCH,
             revision: 0,
         }
     }
 
     /// Handles the earliest instant of the calendar that is due.
     pub fn poll(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
-        if self.revision != buffers.revision
-            && let Err(step) = self.revise(now, buffers)
-        {
-            return step;
+        if self.revision != buffers.revision {
+            return self.revise(now, buffers);
         }
-        if !self.next.is_known
-            && let Err(step) = self.find_next(now, buffers)
-        {
-            return step;
+        if !self.next.is_known {
+            return self.find_next(now, buffers);
         }
         if now < self.next.wake {
-            return CalendarStep::SleepUntil(self.next.wake.min(now + Self::LONGEST_SLEEP));
+            return self.sleep(now);
         }
         self.next.is_known = false;
         match self.next.stage {
@@ -139,34 +145,74 @@ impl<const N: usize> Dispatcher<N> {
         }
     }
 
+    #[inline]
+    fn sleep(&self, now: Instant) -> CalendarStep {
+        CalendarStep::SleepUntil(self.next.wake.min(now + Self::LONGEST_SLEEP))
+    }
+
     /// Looks for the next instant; or says what is to be done before it can be known.
     #[inline(never)]
-    fn find_next(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Result<(), CalendarStep> {
-        let Some((at, Occurrence { ready, stage, due, .. })) = self.earliest() else {
-            return Err(CalendarStep::SleepUntil(now + Self::LONGEST_SLEEP));
+    fn find_next(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
+        let (at, due) = self.earliest();
+        let (Some(Some(slot)), Some(occurrence)) = (buffers.slots.get(at), self.occurrences.get(at)) else {
+            return self.without_slot(at, now);
         };
-        let Some(slot) = buffers.slot(at) else { return Err(CalendarStep::Continue) };
         let wake = buffers.clock.to_local(due);
         // An instant further away than a period has been slept through.
-        if wake.signed_since(now).unsigned_abs() > slot.longest_distance() {
-            return Err(self.realign(at, now, buffers));
+        if slot.is_far(wake.signed_since(now)) {
+            return self.realign(at as u8, now, buffers);
         }
+        self.next.wake = wake;
         let latest = wake + self.release_jitter;
-        let accurate =
-            stage != Stage::Deadline && buffers.clock.is_accurate(now.min(latest), latest, self.accuracy);
-        // The frame may be loaded late by the release jitter; it has its full time all the same.
-        let deadline = ready + slot.times.deadline + self.release_jitter;
-        let opened = match stage {
-            Stage::Delivery => buffers.clock.to_local(ready.saturating_sub(self.gap)),
-            _ => wake,
-        };
-        let buffer = slot.buffer;
-        self.next = Next { is_known: true, at, buffer, stage, accurate, wake, latest, deadline, opened };
-        Ok(())
+        self.next.latest = latest;
+        let Occurrence { ready, stage, .. } = *occurrence;
+        match stage {
+            Stage::Ready => self.next.deadline = ready + slot.deadline,
+            Stage::Deadline => {}
+            Stage::Delivery => self.next.opened = self.opened(ready, &buffers.clock),
+        }
+        self.next.is_known = true;
+        self.next.at = at as u8;
+        self.next.buffer = slot.buffer;
+        self.next.stage = stage;
+        self.next.accurate = latest <= self.accurate_until || self.is_accurate(now, latest, &buffers.clock);
+        if now < wake { self.sleep(now) } else { CalendarStep::Continue }
+    }
+
+    /// When the window of an occurrence opens, in local time.
+    // Out of line, so that a look at an instant of another stage needs fewer registers.
+    #[inline(never)]
+    fn opened(&self, ready: GlobalInstant, clock: &GlobalClock) -> Instant {
+        clock.to_local(ready.saturating_sub(self.gap))
+    }
+
+    /// Returns whether the clock is within bound from now until `latest`, if that is still to come: later than that, nobody
+    /// asks. Looks ahead, so that the next few instants need not ask.
+    #[cold]
+    fn is_accurate(&mut self, now: Instant, latest: Instant, clock: &GlobalClock) -> bool {
+        let until = latest + Self::LONGEST_SLEEP;
+        if clock.is_accurate(now, until, self.accuracy) {
+            self.accurate_until = until;
+            return true;
+        }
+        clock.is_accurate(now.min(latest), latest, self.accuracy)
+    }
+
+    /// There is no slot, or the earliest one is just being given up.
+    #[cold]
+    fn without_slot(&mut self, at: usize, now: Instant) -> CalendarStep {
+        match self.due.get_mut(at) {
+            Some(due) if *due != NEVER => {
+                *due = NEVER;
+                CalendarStep::Continue
+            }
+            _ => CalendarStep::SleepUntil(now + Self::LONGEST_SLEEP),
+        }
     }
 
     /// Loads the fresh event, if all is as it should be.
-    #[inline]
+    // Out of line, like all that `poll` does: then it needs no registers of its own, and calls nothing but jumps there.
+    #[inline(never)]
     fn release(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
         let punctual = now <= self.next.latest && self.next.accurate && !buffers.inhibited;
         let (_, places, mailbox) = buffers.parts_mut();
@@ -189,7 +235,7 @@ impl<const N: usize> Dispatcher<N> {
         let silent = self.must_keep_silent(now, buffers);
         let (slots, places, _) = buffers.parts_mut();
         let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return CalendarStep::Continue };
-        if now.saturating_since(self.next.wake).as_ticks() > slot.longest_distance() {
+        if now > self.next.latest && slot.is_far(now.signed_since(self.next.wake)) {
             return self.realign(self.next.at, now, buffers);
         }
         let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) else {
@@ -202,15 +248,15 @@ impl<const N: usize> Dispatcher<N> {
         if !buffer.role.publishes || !(fresh || slot.periodic) {
             return CalendarStep::Continue;
         }
-        let counters = &mut buffer.counters;
-        let count = if !fresh {
-            &mut counters.unused
-        } else if silent {
-            &mut counters.inhibited
-        } else {
-            &mut counters.skipped
-        };
-        *count = count.wrapping_add(1);
+        buffer.count(|counters| {
+            if !fresh {
+                &mut counters.unused
+            } else if silent {
+                &mut counters.inhibited
+            } else {
+                &mut counters.skipped
+            }
+        });
         CalendarStep::Notify(BufferId(slot.buffer))
     }
 
@@ -218,7 +264,7 @@ impl<const N: usize> Dispatcher<N> {
     fn withdraw(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
         let (slots, places, mailbox) = buffers.parts_mut();
         let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return CalendarStep::Continue };
-        if now.saturating_since(self.next.wake).as_ticks() > slot.longest_distance() {
+        if now > self.next.latest && slot.is_far(now.signed_since(self.next.wake)) {
             return self.realign(self.next.at, now, buffers);
         }
         let buffer = places.get(usize::from(slot.buffer)).and_then(Option::as_ref);
@@ -234,13 +280,9 @@ impl<const N: usize> Dispatcher<N> {
     #[inline(never)]
     fn deliver(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
         let silent = self.must_keep_silent(now, buffers);
-        let Some(Some(occurrence)) = self.occurrences.get(usize::from(self.next.at)) else {
-            return CalendarStep::Continue;
-        };
-        let due = occurrence.due;
         let (slots, places, _) = buffers.parts_mut();
         let Some(Some(slot)) = slots.get(usize::from(self.next.at)) else { return CalendarStep::Continue };
-        if now.saturating_since(self.next.wake).as_ticks() > slot.longest_distance() {
+        if now > self.next.latest && slot.is_far(now.signed_since(self.next.wake)) {
             return self.realign(self.next.at, now, buffers);
         }
         self.leave(slot, false);
@@ -249,12 +291,12 @@ impl<const N: usize> Dispatcher<N> {
         };
         if silent {
             buffer.arriving = None;
-            buffer.counters.inhibited = buffer.counters.inhibited.wrapping_add(1);
-        } else if !buffer.deliver(self.next.opened, due) {
+            buffer.count(|counters| &mut counters.inhibited);
+        } else if !buffer.deliver(self.next.opened) {
             if !slot.periodic {
                 return CalendarStep::Continue;
             }
-            buffer.counters.missed = buffer.counters.missed.wrapping_add(1);
+            buffer.count(|counters| &mut counters.missed);
         }
         CalendarStep::Notify(BufferId(slot.buffer))
     }
@@ -262,28 +304,37 @@ impl<const N: usize> Dispatcher<N> {
     #[inline]
     fn must_keep_silent(&self, now: Instant, buffers: &HrtBuffers<N>) -> bool {
         let accurate = now <= self.next.latest && self.next.accurate;
-        buffers.inhibited || (!accurate && buffers.clock.accuracy(now) > self.accuracy)
+        (!accurate && self.is_out_of_bound(now, buffers)) || buffers.inhibited
+    }
+
+    #[cold]
+    fn is_out_of_bound(&self, now: Instant, buffers: &HrtBuffers<N>) -> bool {
+        buffers.clock.accuracy(now) > self.accuracy
     }
 
     /// Moves a slot on to the next stage of this occurrence.
     #[inline]
     fn enter(&mut self, stage: Stage, due: GlobalInstant) {
-        if let Some(Some(occurrence)) = self.occurrences.get_mut(usize::from(self.next.at)) {
+        let at = usize::from(self.next.at);
+        if let (Some(occurrence), Some(place)) = (self.occurrences.get_mut(at), self.due.get_mut(at)) {
             occurrence.stage = stage;
-            occurrence.due = due;
+            *place = due;
         }
     }
 
     /// Moves a slot on to its delivery, if that concerns this node, or to its next occurrence.
     fn leave(&mut self, slot: &LocalSlot, delivers: bool) {
-        let Some(Some(occurrence)) = self.occurrences.get_mut(usize::from(self.next.at)) else { return };
+        let at = usize::from(self.next.at);
+        let (Some(occurrence), Some(due)) = (self.occurrences.get_mut(at), self.due.get_mut(at)) else {
+            return;
+        };
         if delivers {
             occurrence.stage = Stage::Delivery;
-            occurrence.due = occurrence.ready + slot.times.delivery;
+            *due = occurrence.ready + slot.delivery;
         } else {
             occurrence.stage = Stage::Ready;
             occurrence.ready = occurrence.ready + slot.period;
-            occurrence.due = occurrence.ready;
+            *due = occurrence.ready;
         }
     }
 
@@ -296,7 +347,7 @@ impl<const N: usize> Dispatcher<N> {
         let Some(Some(slot)) = slots.get(usize::from(at)) else { return CalendarStep::Continue };
         self.start(at.into(), slot, today);
         if let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer)) {
-            buffer.counters.skipped = buffer.counters.skipped.wrapping_add(1);
+            buffer.count(|counters| &mut counters.skipped);
         }
         if *mailbox == HardMailbox::Loaded(slot.buffer) {
             *mailbox = HardMailbox::Withdrawing(slot.buffer);
@@ -308,30 +359,36 @@ impl<const N: usize> Dispatcher<N> {
     /// Slots have come or gone, or the clock is another one: starts the new slots at their next occurrence,
     /// and all of them if the clock was set; or says what is to be done before that. O(N).
     #[inline(never)]
-    fn revise(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> Result<(), CalendarStep> {
+    fn revise(&mut self, now: Instant, buffers: &mut HrtBuffers<N>) -> CalendarStep {
         self.next.is_known = false;
         if buffers.mailbox == HardMailbox::Orphaned {
             buffers.mailbox = HardMailbox::Abandoned;
-            return Err(CalendarStep::Command(Command::Withdraw(MAILBOX)));
+            return CalendarStep::Command(Command::Withdraw(MAILBOX));
         }
         let today = buffers.clock.to_global(now);
         // No two clocks that are accurate enough differ by more than the gap.
         let step = today.signed_since(self.clock.to_global(now)).unsigned_abs();
         self.clock = buffers.clock;
+        self.accurate_until = Instant::EPOCH;
         if step > self.gap.as_ticks() {
             self.restarting = 0;
         }
-        self.restart(today, buffers)?;
+        if let Err(step) = self.restart(today, buffers) {
+            return step;
+        }
         self.revision = buffers.revision;
         for (at, slot) in buffers.slots.iter().enumerate() {
-            let Some(place) = self.occurrences.get_mut(at) else { continue };
             match slot {
-                None => *place = None,
-                Some(slot) if place.is_some_and(|o| o.attached == slot.attached) => {}
+                Some(slot) if self.follows(at, slot) => {}
                 Some(slot) => self.start(at, slot, today),
+                None => {
+                    if let Some(due) = self.due.get_mut(at) {
+                        *due = NEVER;
+                    }
+                }
             }
         }
-        Ok(())
+        self.find_next(now, buffers)
     }
 
     /// Starts the slots again that are left, as long as nothing must be said about one of them: their old
@@ -344,8 +401,8 @@ impl<const N: usize> Dispatcher<N> {
             self.restarting += 1;
             let (slots, places, _) = buffers.parts_mut();
             let Some(Some(slot)) = slots.get(at) else { continue };
-            let under_way = self.occurrences.get(at).copied().flatten();
-            let open = under_way.is_some_and(|o| o.attached == slot.attached && o.stage != Stage::Ready);
+            let under_way = self.occurrences.get(at).is_some_and(|it| it.stage != Stage::Ready);
+            let open = under_way && self.follows(at, slot);
             self.start(at, slot, today);
             if let Some(Some(buffer)) = places.get_mut(usize::from(slot.buffer))
                 && buffer.give_up(open)
@@ -362,24 +419,49 @@ impl<const N: usize> Dispatcher<N> {
         let since_phase = today.since_epoch().as_ticks().saturating_sub(slot.phase.as_ticks());
         let count = since_phase.div_ceil(period);
         let ready = GlobalInstant::from_epoch(slot.phase) + Duration::from_ticks(count.wrapping_mul(period));
-        if let Some(place) = self.occurrences.get_mut(at) {
-            *place = Some(Occurrence { ready, stage: Stage::Ready, due: ready, attached: slot.attached });
+        if let (Some(occurrence), Some(due)) = (self.occurrences.get_mut(at), self.due.get_mut(at)) {
+            *occurrence = Occurrence { ready, stage: Stage::Ready, attached: slot.attached };
+            *due = ready;
         }
     }
 
-    fn earliest(&self) -> Option<(u8, Occurrence)> {
-        let waiting = (0..).zip(&self.occurrences).filter_map(|(at, place)| Some((place.as_ref()?.due, at)));
-        let (_, at) = waiting.min()?;
-        Some((at, (*self.occurrences.get(usize::from(at))?)?))
+    /// Returns whether the occurrence in this place is one of the slot that is there now.
+    fn follows(&self, at: usize, slot: &LocalSlot) -> bool {
+        let is_due = self.due.get(at).is_some_and(|due| *due != NEVER);
+        is_due && self.occurrences.get(at).is_some_and(|it| it.attached == slot.attached)
+    }
+
+    /// The first of those that are due first.
+    #[inline]
+    fn earliest(&self) -> (usize, GlobalInstant) {
+        let mut earliest = (0, NEVER);
+        for (at, due) in self.due.iter().enumerate() {
+            if *due < earliest.1 {
+                seldom();
+                earliest = (at, *due);
+            }
+        }
+        earliest
     }
 }
+
+/// Says that a branch is seldom taken: without, all that it changes is chosen by conditional moves, every time.
+#[cold]
+#[inline(always)]
+const fn seldom() {}
+
+/// When a place without a slot is due.
+const NEVER: GlobalInstant = GlobalInstant::FAR_FUTURE;
+
+#[cfg(test)]
+mod tests;
 
 /// Withdraws a frame whose slot the clock has left. Even if it is sent, it is of no slot any more.
 fn abandon<const N: usize>(buffers: &mut HrtBuffers<N>) -> Result<(), CalendarStep> {
     let (HardMailbox::Loaded(at) | HardMailbox::Withdrawing(at)) = buffers.mailbox else { return Ok(()) };
     let requested = core::mem::replace(&mut buffers.mailbox, HardMailbox::Abandoned);
     if let Some(buffer) = buffers.buffer_mut(at) {
-        buffer.counters.omitted = buffer.counters.omitted.wrapping_add(1);
+        buffer.count(|counters| &mut counters.omitted);
     }
     match requested {
         HardMailbox::Loaded(_) => Err(CalendarStep::Command(Command::Withdraw(MAILBOX))),

@@ -21,8 +21,8 @@
 //! never kept waiting for longer than that.
 //!
 //! What the dispatcher notices (an omission, a missed event, a clock out of bound) it counts in the
-//! buffer concerned. The event layer compares the counts with those it saw before and raises the
-//! exceptions; none can be lost on the way.
+//! buffer concerned, and marks it. The event layer then compares the counts with those it saw before and raises
+//! the exceptions; none can be lost on the way.
 
 mod attach;
 mod buffers;
@@ -31,6 +31,7 @@ mod dispatcher;
 
 pub use attach::{Attach, AttachError};
 pub(crate) use attach::{Attaching, Detaching};
-pub use buffers::{BufferId, Delivery, HrtBuffers, Role};
+pub use buffers::{BufferId, HrtBuffers, Role};
 pub use counters::Counters;
+pub(crate) use counters::Exceptional;
 pub use dispatcher::{CalendarStep, Dispatcher};
