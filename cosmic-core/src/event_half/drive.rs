@@ -8,7 +8,6 @@ use crate::network::hard::{BufferId, HrtBuffers};
 use crate::network::soft::{self, Tag};
 use crate::services::{NodeView, Request, Services};
 use crate::time::Instant;
-use crate::uid::Subject;
 use core::borrow::Borrow;
 
 impl<

@@ -457,9 +457,11 @@ impl Subscriber {
         self.channel == NONE
     }
 
-    /// Wakes the task that waits for an event, if one does.
-    #[inline]
-    pub(super) fn wake(&mut self) {
+    /// An event is in the queue: counts it, and wakes the task that waits for it, if one does.
+    // A few instructions in the way of each event, fewer than a call when built for size.
+    #[inline(always)]
+    pub(super) fn note_delivery(&mut self) {
+        self.delivered = self.delivered.wrapping_add(1);
         if self.waker.is_some() {
             self.wake_task();
         }

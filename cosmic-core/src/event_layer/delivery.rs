@@ -52,7 +52,7 @@ pub(crate) enum Accepted {
 
 impl Subscriber {
     /// Queues an event by the subscriber's policy. Returns whether it replaced an earlier one.
-    pub(super) fn offer<const N: usize>(
+    pub(super) fn queue<const N: usize>(
         &mut self,
         pool: &mut Pool<N>,
         frame: &Frame,

@@ -213,7 +213,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
     /// As [`receive`](Self::receive), for an event that has come out of an HRT message buffer.
     #[inline]
     pub(crate) fn receive_hard(&mut self, frame: &Frame, received_at: Instant) -> Received {
-        self.receive_as::<false>(key(frame.id.etag()), frame, received_at)
+        self.receive_as::<false>(key_of_hard(frame.id.etag()), frame, received_at)
     }
 
     /// `MAY_BE_AWAITED`: not a hard real-time event, whose absence the calendar notices.
@@ -242,8 +242,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
         if list.push(&mut self.pool, frame, received_at).is_err() {
             return Received::Undelivered(route.tag);
         }
-        subscriber.delivered = subscriber.delivered.wrapping_add(1);
-        subscriber.wake();
+        subscriber.note_delivery();
         Received::Delivered
     }
 
@@ -252,8 +251,8 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
     #[inline(never)]
     pub(crate) fn deliver(&mut self, tag: Tag, frame: &Frame, received_at: Instant) -> Accepted {
         let Some(Some(entry)) = self.channels.get_mut(usize::from(tag.0)) else { return Accepted::Foreign };
-        let mut next = entry.first_subscription;
-        if next == NONE {
+        let mut at = entry.first_subscription;
+        if at == NONE {
             return Accepted::Foreign;
         }
         if entry.publishers.is_some_and(|publishers| !publishers.contains(frame.id.tx_node())) {
@@ -272,35 +271,48 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
             entry.awaited_since = received_at;
             self.first_overdue = self.first_overdue.min(entry.overdue_at());
         }
-        let counters = &mut entry.counters;
         let mut accepted = Accepted::Delivered;
-        while let Some(subscriber) = self.subscribers.get_mut(usize::from(next)) {
-            next = subscriber.next;
-            let plain = subscriber.list.len() < subscriber.takes_any;
-            if !plain && !subscriber.filter.matches(&context) {
-                counters.filtered = counters.filtered.wrapping_add(1);
-                continue;
-            }
-            let offered = if plain {
-                subscriber.list.push(&mut self.pool, frame, received_at).map(|()| false)
+        while let Some(subscriber) = self.subscribers.get_mut(usize::from(at)) {
+            let next = subscriber.next;
+            if subscriber.list.len() < subscriber.takes_any
+                && subscriber.list.push(&mut self.pool, frame, received_at).is_ok()
+            {
+                subscriber.note_delivery();
             } else {
-                subscriber.offer(&mut self.pool, frame, received_at, self.map)
-            };
-            match offered {
-                Ok(replaced) => {
-                    subscriber.delivered = subscriber.delivered.wrapping_add(1);
-                    if replaced {
-                        counters.replaced = counters.replaced.wrapping_add(1);
-                    }
-                    subscriber.wake();
-                }
-                Err(PoolFull) => {
-                    counters.overflowed = counters.overflowed.wrapping_add(1);
-                    accepted = Accepted::Overflowed(entry.declared.borrow().subject);
-                }
+                accepted = self.offer((tag, at), (frame, received_at), &context).unwrap_or(accepted);
             }
+            at = next;
         }
         accepted
+    }
+
+    /// Gives an event to a subscriber who does not take every one, or has no room for it. Says what went wrong.
+    // Seldom, so that the way of an event that every subscriber takes is short.
+    #[cold]
+    fn offer(
+        &mut self,
+        (tag, at): (Tag, u8),
+        (frame, received_at): (&Frame, Instant),
+        context: &Context,
+    ) -> Option<Accepted> {
+        let entry = self.channels.get_mut(usize::from(tag.0))?.as_mut()?;
+        let subscriber = self.subscribers.get_mut(usize::from(at))?;
+        let counters = &mut entry.counters;
+        if !subscriber.filter.matches(context) {
+            counters.filtered = counters.filtered.wrapping_add(1);
+            return None;
+        }
+        match subscriber.queue(&mut self.pool, frame, received_at, self.map) {
+            Ok(replaced) => {
+                counters.replaced = counters.replaced.wrapping_add(replaced.into());
+                subscriber.note_delivery();
+                None
+            }
+            Err(PoolFull) => {
+                counters.overflowed = counters.overflowed.wrapping_add(1);
+                Some(Accepted::Overflowed(entry.declared.borrow().subject))
+            }
+        }
     }
 
     /// Returns whether anybody subscribes to the channel here.
@@ -533,6 +545,11 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
 /// off the bus does not find it, at no cost for the others.
 #[inline]
 const fn key(etag: Etag) -> u32 {
-    const HARD: u32 = 1 << 14;
-    if etag.is_hard() { etag.get() as u32 | HARD } else { etag.get() as u32 }
+    if etag.is_hard() { key_of_hard(etag) } else { etag.get() as u32 }
+}
+
+/// As [`key`], for an etag of the calendar.
+#[inline]
+const fn key_of_hard(etag: Etag) -> u32 {
+    etag.get() as u32 | 1 << 14
 }
