@@ -120,14 +120,18 @@ pub(crate) fn host(workspace: &Workspace) -> Result<Tally> {
     })
 }
 
-/// The tests of the emulated cluster and of the demo, which run the images.
+/// The tests of the emulated cluster and of the demo, which run the images, and the trials, whose images misbehave.
 ///
-/// In the profile of the demo, for speed.
+/// In the profile of the demo, for speed; in one call of cargo, so that all run one emulator.
 pub(crate) fn emulated(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
     let mut command = emulated_tests(workspace, way)?;
+    // These images stand beside those of the firmware.
+    step("building the images of the trials", || {
+        images::build(way.cargo(workspace, "build"), images::TRIALS, images::PROFILE, &[])
+    })?;
+    command.args(["--package", "cosmic-trials"]);
     command.env(WORKSHOP_IMAGES, images::of_workshop(workspace, way)?);
     let mut tally = step("testing the firmware in the emulated cluster", || cargo_test(&mut command))?;
-    tally.add(trials(workspace, way));
     tally.add(step("testing a new repository, made outside this one", || new_repository(workspace, way)));
     tally.add(step("testing a workshop that configures itself, outside this repository", || {
         workshop(workspace, way)
@@ -152,17 +156,6 @@ fn emulated_tests(workspace: &Workspace, way: &TargetWay) -> Result<process::Com
     command.env(IMAGES, built.directory().context("the firmware has no images")?);
     command.env(SMALL_IMAGES, small.directory().context("there are no small images")?);
     Ok(command)
-}
-
-/// The images that misbehave on purpose, in the emulated cluster.
-fn trials(workspace: &Workspace, way: &TargetWay) -> Result<Tally> {
-    let built = step("building the images of the trials", || {
-        images::build(way.cargo(workspace, "build"), images::TRIALS, images::PROFILE, &[])
-    })?;
-    let mut command = workspace.cargo();
-    command.args(["test", "--no-fail-fast", "--release", "--package", "cosmic-trials"]);
-    command.env(IMAGES, built.directory().context("there are no images")?);
-    step("testing nodes that hang, in the emulated cluster", || cargo_test(&mut command))
 }
 
 /// Makes a repository as a user would, in a folder outside this one, builds it, and runs its own test. It shares
