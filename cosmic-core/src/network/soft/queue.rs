@@ -151,8 +151,9 @@ impl<T: Ranked, const N: usize> Queue<T, N> {
     /// The items that wait, in no particular order, to be changed; but not their keys.
     pub(super) fn waiting_mut(&mut self) -> impl Iterator<Item = &mut T> {
         let out = if self.is_out { self.places.last().copied() } else { None };
-        let places = (0_u8..).zip(&mut self.items);
-        places.filter(move |&(place, _)| Some(place) != out).filter_map(|(_, item)| item.as_mut())
+        // The items first: then no number is asked for behind the last, which may be the largest there is.
+        let places = self.items.iter_mut().zip(0_u8..);
+        places.filter(move |&(_, place)| Some(place) != out).filter_map(|(item, _)| item.as_mut())
     }
 
     /// Where in the array of places the one of the item that is out is.
@@ -270,6 +271,28 @@ mod tests {
             1 => Just(Operation::PutBack),
             1 => (2_u64..9).prop_map(Operation::TakeMultiplesOf),
         ]
+    }
+
+    #[test]
+    fn the_largest_queue_fills() {
+        let mut queue = Queue::<Item, 255>::new();
+        for serial in 0..255 {
+            queue.push(|order| Item { key: 0, serial, order });
+        }
+        // One by one: not all ways to go through them ask for a number behind the last.
+        let waiting = |queue: &mut Queue<Item, 255>| {
+            let mut items = queue.waiting_mut();
+            let mut count = 0;
+            while items.next().is_some() {
+                count += 1;
+            }
+            count
+        };
+        assert_eq!(waiting(&mut queue), 255);
+        assert_eq!(queue.take_out().map(|item| item.serial), Some(0));
+        assert_eq!(waiting(&mut queue), 254);
+        queue.push(|order| Item { key: 0, serial: 255, order });
+        assert_eq!(queue.len(), 255);
     }
 
     proptest! {
