@@ -23,13 +23,15 @@
 mod capacity;
 mod channels;
 mod drive;
+mod half;
 mod input;
 mod interest;
 
 pub use crate::event_layer::Delivered;
 pub use capacity::{
-    Capacity, Half, Sizes, URGENT_WAITING, frames_waiting, notices_waiting, outcomes_waiting, stated_or_usual,
+    Capacity, Sizes, URGENT_WAITING, frames_waiting, notices_waiting, outcomes_waiting, stated_or_usual,
 };
+pub use half::Half;
 pub use input::{Input, outcome, receive};
 pub use interest::Interest;
 
