@@ -143,12 +143,13 @@ impl Browser {
         });
     }
 
-    /// Clicks on what a CSS selector finds first.
+    /// Clicks on what a CSS selector finds first. What is found may be drawn anew before it is clicked on.
     pub(crate) fn click(&self, selector: &str) {
-        self.runtime.block_on(async {
-            let found = self.client().find(fantoccini::Locator::Css(selector)).await.unwrap();
-            found.click().await.unwrap();
-        });
+        let begun = Instant::now();
+        let click = async || self.client().find(fantoccini::Locator::Css(selector)).await?.click().await;
+        while let Err(error) = self.runtime.block_on(click()) {
+            assert!(error.is_stale_element_reference() && begun.elapsed() < PATIENCE, "{selector}: {error}");
+        }
     }
 
     /// What the page looks like, as PNG.
