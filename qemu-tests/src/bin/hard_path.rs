@@ -239,30 +239,36 @@ fn measure(publisher: &mut Node, subscriber: &mut Node) {
     let period = SLOTS[0].period;
 
     let Node { clock, buffers, dispatcher, buffer, .. } = publisher;
+    look(dispatcher, clock.to_local(slot.saturating_sub(Duration::from_millis(5))), buffers);
     print_measured(
         "publisher: publish, ready, sent, deadline",
         count::instructions(|| {
             buffers.publish(*buffer, frame.payload);
             let loaded = dispatcher.poll(clock.to_local(slot), buffers);
             assert!(matches!(loaded, CalendarStep::Command(Command::Load(..))));
+            look(dispatcher, clock.to_local(slot), buffers);
             buffers.on_outcome(Outcome::Sent, clock.to_local(slot + times.latest_start));
             let asleep = dispatcher.poll(clock.to_local(slot + times.delivery), buffers);
             assert!(asleep == CalendarStep::Continue);
+            look(dispatcher, clock.to_local(slot + times.delivery), buffers);
             slot = slot + period;
         }),
     );
 
     let mut slot = GlobalInstant::EPOCH + Duration::from_millis(91);
     let Node { clock, buffers, dispatcher, buffer, .. } = subscriber;
+    look(dispatcher, clock.to_local(slot.saturating_sub(Duration::from_millis(5))), buffers);
     print_measured(
         "subscriber: ready, arrival, delivery, take",
         count::instructions(|| {
             let opened = dispatcher.poll(clock.to_local(slot), buffers);
             assert!(opened == CalendarStep::Continue);
+            look(dispatcher, clock.to_local(slot), buffers);
             assert!(buffers.on_frame(&frame, clock.to_local(slot + times.latest_start)));
             let delivered = dispatcher.poll(clock.to_local(slot + times.delivery), buffers);
             assert!(delivered == CalendarStep::Notify(*buffer));
             assert!(buffers.take(*buffer).is_some());
+            look(dispatcher, clock.to_local(slot + times.delivery), buffers);
             slot = slot + period;
         }),
     );
@@ -273,6 +279,11 @@ fn measure(publisher: &mut Node, subscriber: &mut Node) {
             assert!(matches!(dispatcher.poll(asleep, buffers), CalendarStep::SleepUntil(_)));
         }),
     );
+}
+
+/// The dispatcher looks for its next instant, which is still to come.
+fn look(dispatcher: &mut Dispatcher<4>, now: Instant, buffers: &mut HrtBuffers<4>) {
+    assert!(matches!(dispatcher.poll(now, buffers), CalendarStep::SleepUntil(_)));
 }
 
 fn print_measured(name: &str, count: count::Count) {
