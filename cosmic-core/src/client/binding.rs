@@ -149,8 +149,8 @@ pub struct Binding<const N: usize> {
     claim_at: Instant,
     /// The entry whose binding is claimed next, after a probe.
     claim: Option<usize>,
-    /// Of the one before it, the second half is still to be sent.
-    is_half_claimed: bool,
+    /// The etag of the one before it, if its second half is still to be sent.
+    half_claimed: Option<Etag>,
 }
 
 impl<const N: usize> Binding<N> {
@@ -171,7 +171,7 @@ impl<const N: usize> Binding<N> {
             probed: false,
             claim_at: Instant::EPOCH,
             claim: None,
-            is_half_claimed: false,
+            half_claimed: None,
         }
     }
 
@@ -180,7 +180,7 @@ impl<const N: usize> Binding<N> {
         if self.tx_node != tx_node {
             self.tx_node = tx_node;
             self.end_request();
-            (self.probed, self.claim, self.is_half_claimed) = (false, None, false);
+            (self.probed, self.claim, self.half_claimed) = (false, None, None);
         }
     }
 
@@ -372,8 +372,10 @@ impl<const N: usize> Binding<N> {
     /// The next frame of an answer to a probe.
     #[expect(clippy::arithmetic_side_effects, reason = "a position below `N`")]
     fn next_claim(&mut self, now: Instant, tx_node: TxNode) -> Option<Frame> {
-        if core::mem::take(&mut self.is_half_claimed)
+        // If it has been given up in between, what follows it is another one.
+        if let Some(etag) = self.half_claimed.take()
             && let Some(claimed) = self.claim.and_then(|next| self.bound_from(next.checked_sub(1)?))
+            && claimed.etag == etag
         {
             let [_, second] = claimed.halves(tx_node);
             return Some(second.encode());
@@ -389,7 +391,7 @@ impl<const N: usize> Binding<N> {
             }
             let from = self.claim.take().unwrap_or(0);
             if let Some(bound) = self.bound_from(from) {
-                (self.claim, self.is_half_claimed) = (Some(bound.at + 1), true);
+                (self.claim, self.half_claimed) = (Some(bound.at + 1), Some(bound.etag));
                 let [first, _] = bound.halves(tx_node);
                 return Some(first.encode());
             }

@@ -50,8 +50,9 @@
 //! Hand every received sync and follow-up frame to [`ClockSync::on_frame`] with its time-stamp, and every
 //! transmitted one to [`ClockSync::on_sent`]. After either, and at [`ClockSync::next_wakeup`], call
 //! [`ClockSync::poll`] until it returns `None`, and send the frames in that order; then fetch the events
-//! and, after a [change](ClockSync::take_change), copy [`ClockSync::clock`] to where it is used. Calls may be late; a late one delays the frames,
-//! nothing else. All work is constant but that of a pair, which is linear in a window of eight points.
+//! and, after a [change](ClockSync::take_change), copy [`ClockSync::clock`] to where it is used. Calls may be
+//! late; a late one delays the frames, nothing else. All work is constant but that of a pair, which is linear
+//! in a window of eight points.
 
 mod config;
 mod estimate;

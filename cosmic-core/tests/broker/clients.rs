@@ -435,6 +435,21 @@ fn a_flood_of_probes_is_answered_five_times_a_second() {
     assert_eq!(binding_outputs(&mut client, at(2000)), round);
 }
 
+#[test]
+fn a_claim_that_is_given_up_half_way_is_not_completed_by_another() {
+    let mut client = Binding::<2>::new(0, &BindingTiming::DEFAULT);
+    let etag = |of: u64| Etag::new(0x3000 + of as u16).unwrap();
+    let claim = |of| supply(tx_node(4), 4, of, Answer::Bound(etag(of))).map(Output::Send);
+    for of in 1..=2 {
+        client.assume(subject(of), etag(of)).unwrap();
+    }
+    client.set_tx_node(Some(tx_node(4)));
+    client.on_frame(&Probe { tx_node: tx_node(3) }.encode(), at(1));
+    assert_eq!(client.poll(at(1)), Some(claim(1)[0]));
+    client.forget(subject(1));
+    assert_eq!(binding_outputs(&mut client, at(1)), claim(2));
+}
+
 /// Forged frames would otherwise move a channel of a cluster without a broker, for good.
 #[test]
 fn an_etag_that_is_fixed_stays() {

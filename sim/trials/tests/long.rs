@@ -12,7 +12,8 @@ const SETTLED: u64 = 2;
 /// Looked at as a whole.
 const SPAN: u64 = 10;
 /// By which the cycles that a node is awake in a span differ from those of the first, of 10 000. What comes together with
-/// what changes as the clocks drift: up to 1 110 were seen, for 30 s of each 500 s, in which the guest's clock drifts by a period.
+/// what changes as the clocks drift: up to 1 110 were seen, for 30 s of each 500 s, in which the guest's clock drifts by a
+/// period.
 const WORK_DIFFERS: u64 = 1_500;
 /// The same for the worker, which mostly follows the calendar: up to 60 were seen. If its interrupt goes the long way, as it
 /// once did from the first turn of the timer on, it is 112 in the span of that turn.

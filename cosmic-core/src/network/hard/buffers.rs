@@ -67,8 +67,8 @@ pub(super) struct LocalSlot {
 }
 
 impl LocalSlot {
-    /// Returns whether an instant of the slot cannot be as far from now as this, in nanoseconds, while the clock is not set and
-    /// the dispatcher comes in time.
+    /// Returns whether an instant of the slot cannot be as far from now as this, in nanoseconds, while the clock
+    /// is not set and the dispatcher comes in time.
     #[inline]
     pub(super) const fn is_far(&self, distance: i64) -> bool {
         // Nearly always ahead, by less than a period: found out first, since it takes less.

@@ -234,8 +234,8 @@ impl<const N: usize> Lane<N> {
         self.queue.is_empty()
     }
 
-    /// Adds an entry, made of its order; leaves `reserve` places free. The frame in the mailbox comes back to the queue if it is withdrawn,
-    /// so it keeps its place there.
+    /// Adds an entry, made of its order; leaves `reserve` places free. The frame in the mailbox comes back to
+    /// the queue if it is withdrawn, so it keeps its place there.
     #[expect(clippy::arithmetic_side_effects, reason = "at most 255, and a few places")]
     pub(super) fn push(&mut self, reserve: usize, entry: impl FnOnce(u32) -> Entry) -> Result<(), Full> {
         if self.len() + reserve >= N {

@@ -67,7 +67,7 @@ impl<T: Ranked, const N: usize> Queue<T, N> {
 
     /// The first of those that wait.
     pub(super) fn first(&self) -> Option<&T> {
-        self.item(if self.len == 0 { return None } else { 0 })
+        if self.len == 0 { None } else { self.item(0) }
     }
 
     /// Adds the item that `make` makes of its order of arrival, behind those with the same key; there must be a place.

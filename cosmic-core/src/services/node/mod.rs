@@ -38,8 +38,8 @@ struct KnownChannel {
 /// `PEERS` are the other nodes that it keeps track of, and `INTERESTS` what they want and offer. `ADMISSIONS` are the soft
 /// real-time channels that it asks for because the plan does not know them. A node without `SEALS` takes no part in a
 /// sealed cluster: it is silent there. One that is no `CANDIDATE` never becomes time master. `NEWS` are kept until the
-/// application fetches them; of none nothing is told. An image has no code for what is zero or not: see [`PlannedServices`] and
-/// [`FollowingServices`].
+/// application fetches them; of none nothing is told. An image has no code for what is zero or `false`: see
+/// [`PlannedServices`] and [`FollowingServices`].
 ///
 /// Every call is O(`CHANNELS` + `PEERS` + `INTERESTS`), and what the broker needs; but [`Services::poll`] and
 /// [`Services::next_wakeup`] are O(1) while nothing is to be done, for they are called after each event of
