@@ -62,6 +62,7 @@ explain! {
             "the plan does not have this channel, and its rate or deadline is out of the range that can be asked \
              for: choose microseconds to days, and events of at most eight bytes",
         Self::ReservedSubject => "the subject FFFFFFFFFFFFFFFF is the broker's own: choose another one",
+        Self::NoContexts => "the node's capacity says that it has no channels with context: leave contexts: false out",
         Self::TooManySlots => "the node has no room for another slot of the calendar: make SLOTS larger",
     }
     PublishError {

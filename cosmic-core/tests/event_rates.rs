@@ -5,8 +5,8 @@ use cosmic_core::calendar::{Calendar, Segment};
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::event_half::{Due, EventHalf, Input, Step, receive};
 use cosmic_core::event_layer::{
-    AnnounceError, Channel, ChannelCounters, Depth, Event, EventRate, ExceptionKind, Filter, Importance,
-    MessagePublisher, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
+    AnnounceError, Channel, ChannelCounters, Constant, Depth, Event, EventRate, ExceptionKind, Filter,
+    Importance, MessagePublisher, NonRealTimeAttributes, Policy, PublishError, SoftAttributes,
 };
 use cosmic_core::network::hard::HrtBuffers;
 use cosmic_core::network::soft::RESERVED;
@@ -276,4 +276,31 @@ fn rates_must_agree_within_a_node() {
     let mut half = node();
     half.announce(&BURSTS).unwrap();
     assert_eq!(half.announce(&PERIODIC).unwrap_err(), AnnounceError::Contradiction);
+}
+
+type Constants =
+    EventHalf<2, 4, 3, 8, { 2 + RESERVED }, { 2 + RESERVED }, (), HrtBuffers<2>, Constant<true, false>>;
+
+#[test]
+fn a_node_without_rates_leaves_them_to_its_application() {
+    let mut half = Constants::new(Some(ME), &CALENDAR, (), HrtBuffers::new(GlobalClock::free_running()));
+    static BURSTS_HERE: Channel<u16> = BURSTS;
+    static AWAITED: Channel<u16> =
+        plain(0x201, 5_001).with_rate(EventRate::periodic(Duration::from_millis(10)));
+    let publication = half.announce(&BURSTS_HERE).unwrap();
+    for now in [0, 0, 1, 2] {
+        let due = half.publish(at(now), &publication, &Event::new(7)).unwrap();
+        let Some(Command::Load(mailbox, _)) = due.command() else { panic!("not sent at once") };
+        half.on_input(&Input::Outcome(mailbox, Outcome::Sent), at(now));
+    }
+    let subscription = half.subscribe(&AWAITED, Filter::ALL, Policy::Latest).unwrap();
+    let id = Id::new(Priority::new(9), OTHER, Etag::new(5_001).unwrap());
+    let frame = Frame::new(id, Payload::new(&[0, 7]).unwrap());
+    assert!(!half.on_input(&Input::Frame(frame), at(10)), "nothing is awaited");
+    assert_eq!(half.next(&subscription).map(|event| event.content), Some(7));
+    assert_eq!(half.poll(at(1_000_000)), Step::SleepUntil(Instant::FAR_FUTURE));
+    assert_eq!(
+        half.exceptions(ExceptionKind::EventOverdue) + half.exceptions(ExceptionKind::RateExceeded),
+        0
+    );
 }

@@ -8,7 +8,8 @@ use cosmic_core::calendar::{Calendar, Segment};
 use cosmic_core::can::{BitRate, Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::event_half::EventHalf;
 use cosmic_core::event_layer::{
-    Attribute, Channel, Context, Depth, Filter, Policy, SoftAttributes, Subscription,
+    AnnounceError, Attribute, Channel, Constant, Context, Depth, Filter, Policy, SoftAttributes,
+    SubscribeError, Subscription,
 };
 use cosmic_core::network::hard::HrtBuffers;
 use cosmic_core::network::soft::RESERVED;
@@ -196,4 +197,34 @@ proptest! {
             both.fetch(0);
         }
     }
+}
+
+#[test]
+fn a_node_without_contexts_refuses_channels_with_context_and_filters() {
+    type Half = EventHalf<
+        2,
+        4,
+        SUBSCRIBERS,
+        PLACES,
+        { 2 + RESERVED },
+        { 2 + RESERVED },
+        (),
+        HrtBuffers<2>,
+        Constant<false, true>,
+    >;
+    static CHANNELS_HERE: [Channel<u8>; 2] = CHANNELS;
+    let [plain, located] = &CHANNELS_HERE;
+    let mut half = Half::new(TxNode::new(1), &CALENDAR, (), HrtBuffers::new(GlobalClock::free_running()));
+    let refused = Some(SubscribeError::Channel(AnnounceError::NoContexts));
+    assert_eq!(half.subscribe(located, Filter::ALL, Policy::Latest).err(), refused);
+    assert_eq!(half.announce(located).err(), Some(AnnounceError::NoContexts));
+    // No event of it would pass.
+    let filter = Filter::at_least(&[Attribute::Location]);
+    assert_eq!(half.subscribe(plain, filter, Policy::Latest).err(), refused);
+    let subscription = half.subscribe(plain, Filter::ALL, Policy::Latest).unwrap();
+    half.on_frame(
+        &Frame::new(Id::new(Priority::new(9), TxNode::new(2).unwrap(), etag(0)), Payload::new(&[3]).unwrap()),
+        Instant::EPOCH,
+    );
+    assert_eq!(half.next(&subscription).map(|event| event.content), Some(3));
 }

@@ -45,6 +45,8 @@ impl<
     const NOTICES: usize,
     const EXCEPTIONS: usize,
     const URGENT: usize,
+    const CONTEXTS: bool,
+    const RATES: bool,
 > Queued
     for Sizes<
         SLOTS,
@@ -58,6 +60,8 @@ impl<
         NOTICES,
         EXCEPTIONS,
         URGENT,
+        CONTEXTS,
+        RATES,
     >
 {
     type Queues = Queues<FRAMES, OUTCOMES, NOTICES, URGENT>;

@@ -3,7 +3,7 @@
 use super::{EventHalf, Half, HardAccess, Input, outcome, receive};
 use crate::calendar::Calendar;
 use crate::can::{Frame, Mailbox, Outcome, TxNode};
-use crate::event_layer::Declared;
+use crate::event_layer::Constant;
 use crate::network::hard::{self, Dispatcher, HrtBuffers};
 use crate::services::Services;
 use crate::time::{GlobalClock, Instant};
@@ -59,7 +59,8 @@ pub trait Capacity: sealed::Sealed + 'static {
 /// The [`Capacity`] with these numbers; [`capacity!`](crate::capacity) names them. What each is of stands at
 /// [`EventHalf`]. `FRAMES`, `OUTCOMES` and `NOTICES` follow from the others: what waits for a half whose task is not this
 /// one's, in a runtime that has queues for it. They are [`frames_waiting`], [`outcomes_waiting`] and [`notices_waiting`].
-/// `URGENT` is the same of frames of the clock: [`URGENT_WAITING`], or none.
+/// `URGENT` is the same of frames of the clock: [`URGENT_WAITING`], or none. `CONTEXTS` and `RATES` stand at
+/// [`Kept`](crate::event_layer::Kept).
 #[derive(Debug)]
 pub struct Sizes<
     const SLOTS: usize,
@@ -73,6 +74,8 @@ pub struct Sizes<
     const NOTICES: usize,
     const EXCEPTIONS: usize,
     const URGENT: usize,
+    const CONTEXTS: bool,
+    const RATES: bool,
 >;
 
 /// Received frames that wait to be taken in, of a node with so many events that wait for the application: as many, and no
@@ -102,6 +105,15 @@ pub const fn stated_or_usual(numbers: &[usize]) -> usize {
     }
 }
 
+/// As [`stated_or_usual`], of what a node has or has not: usually it has.
+#[doc(hidden)]
+pub const fn stated_or_true(stated: &[bool]) -> bool {
+    match stated.first() {
+        Some(&stated) => stated,
+        None => true,
+    }
+}
+
 /// Notices of the dispatcher that wait to be taken in: a slot may have four before the event half is there. A power of
 /// two, or none where there are no slots.
 pub const fn notices_waiting(slots: usize) -> usize {
@@ -123,6 +135,8 @@ impl<
     const NOTICES: usize,
     const EXCEPTIONS: usize,
     const URGENT: usize,
+    const CONTEXTS: bool,
+    const RATES: bool,
 > Capacity
     for Sizes<
         SLOTS,
@@ -136,12 +150,24 @@ impl<
         NOTICES,
         EXCEPTIONS,
         URGENT,
+        CONTEXTS,
+        RATES,
     >
 {
     type Buffers = HrtBuffers<SLOTS>;
     type Dispatcher = Dispatcher<SLOTS>;
-    type Half<S: Services, H: HardAccess<Self::Buffers>> =
-        EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, &'static Declared, EXCEPTIONS>;
+    type Half<S: Services, H: HardAccess<Self::Buffers>> = EventHalf<
+        SLOTS,
+        CHANNELS,
+        SUBSCRIPTIONS,
+        EVENTS,
+        SOFT,
+        NRT,
+        S,
+        H,
+        Constant<CONTEXTS, RATES>,
+        EXCEPTIONS,
+    >;
 
     const BUFFERS: Self::Buffers = HrtBuffers::new(GlobalClock::unsynchronised());
 
@@ -202,6 +228,8 @@ mod sealed {
         const NOTICES: usize,
         const EXCEPTIONS: usize,
         const URGENT: usize,
+        const CONTEXTS: bool,
+        const RATES: bool,
     > Sealed
         for super::Sizes<
             SLOTS,
@@ -215,6 +243,8 @@ mod sealed {
             NOTICES,
             EXCEPTIONS,
             URGENT,
+            CONTEXTS,
+            RATES,
         >
     {
     }
@@ -222,9 +252,17 @@ mod sealed {
 
 /// Names a [`Capacity`].
 ///
-/// Two numbers may be left out: `exceptions`, that wait for the application, are as many as non real-time events otherwise;
-/// a node that fetches none says zero, and they are only counted. `urgent: 0` is for a node without slots whose services do
-/// not [hear the clock](crate::services::Services::HEARS_CLOCK): it has no task for the urgent FIFO, and no queue.
+/// The last four may be left out. Each is for a node that does without something, and then has no code or room for it:
+///
+/// - `exceptions`, that wait for the application, are as many as non real-time events otherwise. A node that fetches none
+///   says zero, and they are only counted.
+/// - `urgent: 0` is for a node without slots whose services do not
+///   [hear the clock](crate::services::Services::HEARS_CLOCK): it has no task for the urgent FIFO, and no queue.
+/// - `contexts: false`: no event of its channels carries [attributes of context](crate::event_layer::Context), so there
+///   is nothing to filter by. Such channels, and filters, are refused.
+/// - `rates: false`: nothing holds what it publishes to the [rates](crate::event_layer::EventRate) of its channels, and
+///   nobody is told of events that do not come. The plan's promises to soft real-time events of others rest on these
+///   rates, so this is for a node that publishes in non real-time only, or whose application paces itself.
 ///
 /// ```
 /// cosmic_core::capacity! {
@@ -251,7 +289,9 @@ macro_rules! capacity {
             soft: $soft:expr,
             non_real_time: $non_real_time:expr
             $(, exceptions: $exceptions:expr)?
-            $(, urgent: $urgent:expr)? $(,)?
+            $(, urgent: $urgent:expr)?
+            $(, contexts: $contexts:expr)?
+            $(, rates: $rates:expr)? $(,)?
         }
     ) => {
         $(#[$attribute])*
@@ -267,6 +307,8 @@ macro_rules! capacity {
             { $crate::event_half::notices_waiting($slots) },
             { $crate::event_half::stated_or_usual(&[$($exceptions,)? $non_real_time]) },
             { $crate::event_half::stated_or_usual(&[$($urgent,)? $crate::event_half::URGENT_WAITING]) },
+            { $crate::event_half::stated_or_true(&[$($contexts)?]) },
+            { $crate::event_half::stated_or_true(&[$($rates)?]) },
         >;
     };
 }

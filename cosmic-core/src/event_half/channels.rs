@@ -4,7 +4,7 @@ use super::{Due, EventHalf, HardAccess, PUBLISHES, SUBSCRIBES};
 use crate::calendar::Slot;
 use crate::can::{Command, Frame, Id, Payload, Priority};
 use crate::event_layer::{
-    AnnounceError, Attributes, Channel, Content, Declared, Delivered, Event, ExceptionKind, Filter,
+    AnnounceError, Attributes, Channel, Content, Declared, Delivered, Event, ExceptionKind, Filter, Kept,
     MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, Published, Quality,
     SubscribeError, Subscription, encode,
 };
@@ -13,7 +13,6 @@ use crate::network::hard::{Attach, AttachError, Attaching, BufferId, Counters, D
 use crate::network::soft::{self, Outgoing, Tag};
 use crate::services::{Declaration, Services, TooMany};
 use crate::time::Instant;
-use core::borrow::Borrow;
 use core::task::{Poll, Waker};
 
 impl<
@@ -25,7 +24,7 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-    D: Borrow<Declared> + Copy,
+    D: Kept,
     const EXCEPTIONS: usize,
 > EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {

@@ -3,12 +3,11 @@
 use super::{EventHalf, HardAccess, Input, Own, PUBLISHES, SERVICES, Step};
 use crate::calendar::Slot;
 use crate::can::{Command, Frame, Mailbox, Outcome, Priority, TxNode};
-use crate::event_layer::{Accepted, Declared, Exception, ExceptionKind, Received};
+use crate::event_layer::{Accepted, Exception, ExceptionKind, Kept, Received};
 use crate::network::hard::{BufferId, HrtBuffers};
 use crate::network::soft::{self, Tag};
 use crate::services::{NodeView, Request, Services};
 use crate::time::Instant;
-use core::borrow::Borrow;
 
 impl<
     const SLOTS: usize,
@@ -19,7 +18,7 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-    D: Borrow<Declared> + Copy,
+    D: Kept,
     const EXCEPTIONS: usize,
 > EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {

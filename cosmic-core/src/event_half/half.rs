@@ -5,7 +5,7 @@ use crate::can::Payload;
 use crate::can::filter_banks::Wanted;
 use crate::event_layer::{
     AnnounceError, Channel, ChannelCounters, Content, Declared, Delivered, Event, Exception, ExceptionKind,
-    Filter, MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, SubscribeError,
+    Filter, Kept, MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, SubscribeError,
     Subscription,
 };
 use crate::network::fragments::Message;
@@ -13,7 +13,6 @@ use crate::network::hard::HrtBuffers;
 use crate::services::Services;
 use crate::time::Instant;
 use crate::uid::Subject;
-use core::borrow::Borrow;
 use core::task::{Poll, Waker};
 
 /// What a runtime and an application call of an [`EventHalf`], whatever its capacities. Each method is the one of
@@ -140,7 +139,7 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-    D: Borrow<Declared> + From<&'static Declared> + Copy,
+    D: Kept + From<&'static Declared>,
     const EXCEPTIONS: usize,
 > Half for EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {

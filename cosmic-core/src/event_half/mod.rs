@@ -29,7 +29,8 @@ mod interest;
 
 pub use crate::event_layer::Delivered;
 pub use capacity::{
-    Capacity, Sizes, URGENT_WAITING, frames_waiting, notices_waiting, outcomes_waiting, stated_or_usual,
+    Capacity, Sizes, URGENT_WAITING, frames_waiting, notices_waiting, outcomes_waiting, stated_or_true,
+    stated_or_usual,
 };
 pub use half::Half;
 pub use input::{Input, outcome, receive};
@@ -39,14 +40,13 @@ use crate::calendar::Calendar;
 use crate::can::filter_banks::{Fifo, Wanted};
 use crate::can::{Command, ErrorCounters, TxNode};
 use crate::event_layer::{
-    Accepted, ChannelCounters, Declared, EventLayer, Exception, ExceptionKind, Exceptions,
+    Accepted, ChannelCounters, Declared, EventLayer, Exception, ExceptionKind, Exceptions, Kept,
 };
 use crate::network::hard::{Counters, Exceptional, HrtBuffers, Role};
 use crate::network::soft::{self, Etch, EtchCounters, PriorityMap, Tag};
 use crate::services::{NodeView, Services};
 use crate::time::Instant;
 use crate::uid::Subject;
-use core::borrow::Borrow;
 use core::task::{Poll, Waker};
 
 /// Access to the HRT message buffers, which the two halves share.
@@ -158,7 +158,7 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-    D: Borrow<Declared> + Copy,
+    D: Kept,
     const EXCEPTIONS: usize,
 > EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {

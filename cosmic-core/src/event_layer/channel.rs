@@ -45,7 +45,7 @@ impl<C> Copy for Channel<C> {}
 
 /// A channel without the type of its content: what a node knows of it.
 ///
-/// A node whose channels are constants, as those of firmware are, keeps `&'static Declared`: it takes no copy of each.
+/// A node whose channels are constants, as those of firmware are, keeps a [`Constant`] of each: it takes no copy.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Declared {
     pub(crate) subject: Subject,
@@ -169,6 +169,38 @@ impl From<&Self> for Declared {
     fn from(declared: &Self) -> Self {
         *declared
     }
+}
+
+/// How a node keeps the channels that it knows, and what it does for them. What it does not do it has no code for.
+pub trait Kept: Borrow<Declared> + Copy {
+    /// It has channels whose events carry attributes of context; a node without refuses them, and filters.
+    const CONTEXTS: bool = true;
+    /// It holds publishers to the rates of their channels, and tells subscribers of events that do not come.
+    const RATES: bool = true;
+}
+
+impl Kept for Declared {}
+
+/// A channel that is a constant of the program: a node keeps no copy.
+#[derive(Clone, Copy, Debug)]
+pub struct Constant<const CONTEXTS: bool, const RATES: bool>(&'static Declared);
+
+impl<const CONTEXTS: bool, const RATES: bool> Borrow<Declared> for Constant<CONTEXTS, RATES> {
+    #[inline]
+    fn borrow(&self) -> &Declared {
+        self.0
+    }
+}
+
+impl<const CONTEXTS: bool, const RATES: bool> From<&'static Declared> for Constant<CONTEXTS, RATES> {
+    fn from(declared: &'static Declared) -> Self {
+        Self(declared)
+    }
+}
+
+impl<const CONTEXTS: bool, const RATES: bool> Kept for Constant<CONTEXTS, RATES> {
+    const CONTEXTS: bool = CONTEXTS;
+    const RATES: bool = RATES;
 }
 
 impl Declared {
@@ -310,11 +342,29 @@ impl<D> Entry<D> {
     }
 }
 
-impl<D: Borrow<Declared>> Entry<D> {
+impl<D: Kept> Entry<D> {
     /// The channel as it was declared.
     #[inline]
     pub(super) fn declared(&self) -> &Declared {
         self.declared.borrow()
+    }
+
+    /// Returns whether its events carry attributes of context.
+    #[inline]
+    pub(super) fn has_context(&self) -> bool {
+        D::CONTEXTS && self.declared().context
+    }
+
+    /// How often its events come, if they are held to that here.
+    #[inline]
+    pub(super) fn rate(&self) -> Option<EventRate> {
+        if D::RATES { self.declared().rate } else { None }
+    }
+
+    /// Returns whether subscribers are told here of events that do not come.
+    #[inline]
+    pub(super) fn is_awaited(&self) -> bool {
+        D::RATES && self.declared().is_awaited()
     }
 }
 

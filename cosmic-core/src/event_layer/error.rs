@@ -27,6 +27,9 @@ pub enum AnnounceError {
     /// The plan does not have this soft real-time channel, and its rate or deadline is out of the range that can be asked
     /// for.
     NotAskable,
+    /// The events of the channel carry attributes of context, or there is a filter of such: the node does without
+    /// ([`Kept::CONTEXTS`](super::Kept::CONTEXTS)).
+    NoContexts,
     /// The subject is [reserved](crate::Subject::RESERVED) for brokers.
     ReservedSubject,
 }

@@ -2,7 +2,7 @@
 //! subscribers.
 
 use super::channel::{
-    Channel, ChannelCounters, Declared, Entry, NONE, Outlet, Policy, Publication, Route, Subscriber,
+    Channel, ChannelCounters, Declared, Entry, Kept, NONE, Outlet, Policy, Publication, Route, Subscriber,
     Subscription,
 };
 use super::content::Content;
@@ -18,7 +18,6 @@ use crate::network::id_map::IdMap;
 use crate::network::soft::{PriorityMap, Tag};
 use crate::time::Instant;
 use crate::uid::Subject;
-use core::borrow::Borrow;
 use core::task::Waker;
 
 /// The channels, subscriptions and waiting events of a node: room for `CHANNELS` (a power of two),
@@ -40,7 +39,7 @@ pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const E
     renamed: bool,
 }
 
-impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Borrow<Declared>>
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Kept>
     EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>
 {
     /// A layer without channels. A node that is configured at run time has no TxNode yet.
@@ -125,6 +124,9 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
     where
         D: From<&'c Declared>,
     {
+        if !D::CONTEXTS && filter != Filter::ALL {
+            return Err(SubscribeError::Channel(AnnounceError::NoContexts));
+        }
         let index = (self.subscribers.iter().position(Subscriber::is_vacant))
             .ok_or(SubscribeError::TooManySubscriptions)?;
         let at = self.enter(&channel.declared).map_err(SubscribeError::Channel)?;
@@ -154,10 +156,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
 
     /// Gives up a subscription, with the events that wait for it. Says which channel has lost its last
     /// subscriber here. O(SUBSCRIPTIONS + EVENTS).
-    pub(crate) fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) -> Option<D>
-    where
-        D: Copy,
-    {
+    pub(crate) fn cancel_subscription<C>(&mut self, subscription: Subscription<C>) -> Option<D> {
         let index = subscription.index;
         let place = self.subscribers.get_mut(usize::from(index)).filter(|place| !place.is_vacant())?;
         let mut gone = core::mem::replace(place, Subscriber::VACANT);
@@ -232,7 +231,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
         if list.len() >= subscriber.takes_any {
             return Received::Undelivered(route.tag);
         }
-        if MAY_BE_AWAITED && route.is_awaited {
+        if D::RATES && MAY_BE_AWAITED && route.is_awaited {
             match self.channels.get_mut(usize::from(route.tag.0)) {
                 Some(Some(entry)) if entry.awaited_since <= received_at => entry.awaited_since = received_at,
                 // The next is overdue earlier than was thought.
@@ -260,14 +259,14 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
             return Accepted::Unplanned(entry.declared().subject);
         }
         let mut context = Context::EMPTY;
-        if entry.declared().context {
+        if entry.has_context() {
             let Some((carried, _)) = Context::split(&frame.payload) else {
                 entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
                 return Accepted::Malformed(entry.declared().subject);
             };
             context = carried;
         }
-        if entry.declared().is_awaited() {
+        if entry.is_awaited() {
             entry.awaited_since = received_at;
             self.first_overdue = self.first_overdue.min(entry.overdue_at());
         }
@@ -298,7 +297,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
         let entry = self.channels.get_mut(usize::from(tag.0))?.as_mut()?;
         let subscriber = self.subscribers.get_mut(usize::from(at))?;
         let counters = &mut entry.counters;
-        if !subscriber.filter.matches(context) {
+        if D::CONTEXTS && !subscriber.filter.matches(context) {
             counters.filtered = counters.filtered.wrapping_add(1);
             return None;
         }
@@ -331,7 +330,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
     ) -> Option<Result<Delivered<C>, Instant>> {
         let subscriber = self.subscribers.get_mut(usize::from(subscription.index))?;
         let event = subscriber.list.pop(&mut self.pool)?;
-        Some(decode(event, subscription.context).ok_or(event.received_at))
+        Some(decode(event, D::CONTEXTS && subscription.context).ok_or(event.received_at))
     }
 
     /// Has the waker woken by the next event of the subscription.
@@ -453,6 +452,9 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
         if declared.subject == Subject::RESERVED {
             return Err(AnnounceError::ReservedSubject);
         }
+        if declared.context && !D::CONTEXTS {
+            return Err(AnnounceError::NoContexts);
+        }
         let found = self.find(declared.subject);
         let former = found.and_then(|at| self.channels[at].as_ref());
         if let (Some(at), Some(entry)) = (found, former)
@@ -514,14 +516,14 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
             }
             _ => Outlet::CLOSED,
         };
-        let guarded = entry.declared().rate.is_some() || entry.gate == Gate::NonRealTime;
+        let guarded = entry.rate().is_some() || entry.gate == Gate::NonRealTime;
         entry.outlet = if guarded { Outlet::CLOSED } else { outlet };
         entry.guarded_outlet = if guarded { outlet } else { Outlet::CLOSED };
-        let plain = entry.subscriptions == 1 && !entry.declared().context && entry.publishers.is_none();
+        let plain = entry.subscriptions == 1 && !entry.has_context() && entry.publishers.is_none();
         let only = if plain { entry.first_subscription } else { NONE };
         if let Some(etag) = entry.etag {
             // It is there already, so there is a place.
-            let route = Route { tag: Tag(at), only, is_awaited: entry.declared().is_awaited() };
+            let route = Route { tag: Tag(at), only, is_awaited: entry.is_awaited() };
             let _ = self.by_etag.insert(key(etag), route.encode());
         }
     }

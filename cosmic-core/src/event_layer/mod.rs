@@ -20,7 +20,9 @@ pub use messages::{MessageChannel, MessagePublisher, MessageSubscriber};
 pub use crate::protocol::Class;
 pub use attributes::{Attributes, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes};
 pub use bytes::Bytes;
-pub use channel::{Channel, ChannelCounters, Declared, Depth, Policy, Publication, Subscription};
+pub use channel::{
+    Channel, ChannelCounters, Constant, Declared, Depth, Kept, Policy, Publication, Subscription,
+};
 pub use content::{Content, layout_of};
 pub use delivery::Delivered;
 pub use error::{AnnounceError, SubscribeError};

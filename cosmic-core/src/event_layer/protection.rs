@@ -2,16 +2,15 @@
 //! until they are admitted, and subscribers of periodic ones are told of events that do not come.
 
 use super::attributes::Attributes;
-use super::channel::{Declared, Entry, Outlet};
+use super::channel::{Declared, Entry, Kept, Outlet};
 use super::gate::Gate;
 use super::layer::EventLayer;
 use super::publish::PublishError;
 use crate::network::soft::Tag;
 use crate::time::{Duration, Instant};
 use crate::uid::Subject;
-use core::borrow::Borrow;
 
-impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Borrow<Declared>>
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Kept>
     EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>
 {
     /// Whether this node may publish on a channel from now on. O(CHANNELS).
@@ -50,14 +49,14 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
     }
 
     /// When an event is overdue, if none comes before. It may be early.
-    pub(crate) const fn next_overdue(&self) -> Instant {
-        self.first_overdue
+    pub(crate) fn next_overdue(&self) -> Instant {
+        if D::RATES { self.first_overdue } else { Instant::FAR_FUTURE }
     }
 
     /// A channel of which events are overdue, and how many; call until it returns `None`. O(CHANNELS), but O(1)
     /// before [`next_overdue`](Self::next_overdue).
     pub(crate) fn take_overdue(&mut self, now: Instant) -> Option<(Subject, u32)> {
-        if now < self.first_overdue {
+        if !D::RATES || now < self.first_overdue {
             return None;
         }
         let mut entries = self.channels.iter_mut().flatten();
@@ -88,7 +87,7 @@ impl Declared {
     }
 }
 
-impl<D: Borrow<Declared>> Entry<D> {
+impl<D: Kept> Entry<D> {
     /// Opens the outlet of a channel with a rate for one event, which is charged for it. Returns whether it did; or that
     /// the event comes too early.
     fn open(&mut self, now: Instant) -> Result<bool, PublishError> {
@@ -112,7 +111,7 @@ impl<D: Borrow<Declared>> Entry<D> {
     }
 
     fn charge_event(&mut self, now: Instant) -> Result<(), PublishError> {
-        let Some(rate) = self.declared().rate else { return Ok(()) };
+        let Some(rate) = self.rate() else { return Ok(()) };
         if self.guard.charge(&rate, now) {
             return Ok(());
         }
@@ -121,7 +120,7 @@ impl<D: Borrow<Declared>> Entry<D> {
     }
 
     pub(super) fn refund(&mut self) {
-        if let Some(rate) = self.declared().rate {
+        if let Some(rate) = self.rate() {
             self.guard.refund(&rate);
         }
     }
@@ -137,7 +136,7 @@ impl<D: Borrow<Declared>> Entry<D> {
     /// How many events have not come by now that should have.
     #[expect(clippy::arithmetic_side_effects, reason = "an interval is not zero")]
     pub(super) fn take_overdue(&mut self, now: Instant) -> u32 {
-        let Some(rate) = self.declared().rate else { return 0 };
+        let Some(rate) = self.rate() else { return 0 };
         let overdue_at = self.overdue_at();
         if now < overdue_at || overdue_at == Instant::FAR_FUTURE {
             return 0;

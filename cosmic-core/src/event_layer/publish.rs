@@ -1,7 +1,7 @@
 //! From an event to what leaves the node.
 
 use super::attributes::Attributes;
-use super::channel::{Declared, Entry};
+use super::channel::{Entry, Kept};
 use super::content::Content;
 use super::filter::Context;
 use super::gate::Gate;
@@ -10,7 +10,6 @@ use crate::can::{Frame, Payload, Priority};
 use crate::network::hard::BufferId;
 use crate::network::soft::{Outgoing, Tag};
 use crate::time::Instant;
-use core::borrow::Borrow;
 
 /// Why an event was not published. It has been counted, in
 /// [`ChannelCounters::refused`](super::ChannelCounters::refused), if the channel still exists.
@@ -127,7 +126,7 @@ pub enum Published {
     NonRealTime(Outgoing),
 }
 
-impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Borrow<Declared>>
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Kept>
     EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>
 {
     /// What an event becomes on its way. O(1).
@@ -144,7 +143,7 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
             return Err(PublishError::NotAnnounced);
         };
         let Some(id) = entry.outlet.id(Priority::SOFT_MOST_URGENT) else { return Err(entry.why_closed()) };
-        if entry.declared().context {
+        if entry.has_context() {
             payload = event.context.prepend(&payload).map_err(|_| PublishError::TooLong)?;
         } else if event.context.presence() != 0 {
             return Err(PublishError::TooLong);

@@ -10,7 +10,7 @@ use small::*;
 mod last_words;
 
 cosmic_core::capacity! {
-    Room { slots: 2, channels: 8, subscriptions: 3, events: 8, soft: 3, non_real_time: 3, exceptions: 0 }
+    Room { slots: 2, channels: 8, subscriptions: 3, events: 8, soft: 3, non_real_time: 3, exceptions: 0, contexts: false }
 }
 
 /// What the node is made of.

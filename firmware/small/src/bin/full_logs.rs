@@ -8,7 +8,7 @@ use small::plan::{channels::torque, nodes::full_logs::NODE};
 use small::*;
 
 cosmic_core::capacity! {
-    Room { slots: 2, channels: 8, subscriptions: 3, events: 8, soft: 3, non_real_time: 3 }
+    Room { slots: 2, channels: 8, subscriptions: 3, events: 8, soft: 3, non_real_time: 3, contexts: false }
 }
 
 /// What the node is made of.

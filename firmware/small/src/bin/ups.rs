@@ -9,7 +9,7 @@ use small::{plan::nodes::ups::NODE, *};
 mod last_words;
 
 cosmic_core::capacity! {
-    Room { slots: 0, channels: 2, subscriptions: 2, events: 4, soft: 0, non_real_time: 4, exceptions: 0, urgent: 0 }
+    Room { slots: 0, channels: 2, subscriptions: 2, events: 4, soft: 0, non_real_time: 4, exceptions: 0, urgent: 0, contexts: false, rates: false }
 }
 
 /// What the node is made of.
