@@ -2,7 +2,7 @@
 
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
 use cosmic_core::network::soft::{
-    Etch, EtchStep, Full, Incident, IncidentKind, Outgoing, PriorityMap, RESERVED, Tag,
+    Etch, EtchStep, Full, Incident, IncidentKind, Outgoing, PriorityMap, RESERVED, Tag, Unsent,
 };
 use cosmic_core::time::{Duration, Instant};
 use proptest::prelude::*;
@@ -155,7 +155,7 @@ fn recalled_events_are_not_sent() {
     let _ = etch.submit_soft(at(0), soft(1, at(1_000), at(2_000))).unwrap();
     let _ = etch.submit_soft(at(0), soft(1, at(1_500), at(2_000))).unwrap();
     let _ = etch.submit_soft(at(0), soft(2, at(1_800), at(2_000))).unwrap();
-    let commands = etch.recall(|tag, _| tag == Tag(1));
+    let commands = etch.recall(&Unsent::Of(Tag(1)));
     assert_eq!(commands, [Some(Command::Withdraw(Mailbox::Soft)), None]);
     let departure = etch.on_outcome(Mailbox::Soft, Outcome::Withdrawn, at(1));
     assert_eq!((departure.sent, departure.incident), (None, None));
@@ -195,7 +195,7 @@ fn events_are_discarded_with_the_etag_of_their_channel_wherever_they_are() {
             assert_eq!(etch.poll(at(0)), EtchStep::Command(Command::Withdraw(Mailbox::Soft)));
         }
         let _ = etch.submit_soft(at(0), soft(1, at(9_500), at(99_000))).unwrap();
-        etch.revoke(at(5), |tag| tag == Tag(1));
+        etch.revoke(at(5), &Unsent::Of(Tag(1)));
         let lost = Incident { tag: Tag(1), kind: IncidentKind::IdentifierLost };
         if !withdrawing {
             assert_eq!(etch.poll(at(5)), EtchStep::Command(Command::Withdraw(Mailbox::Soft)));

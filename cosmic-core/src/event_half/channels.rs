@@ -10,7 +10,7 @@ use crate::event_layer::{
 };
 use crate::network::fragments::Message;
 use crate::network::hard::{Attach, AttachError, Attaching, BufferId, Counters, Detaching, HrtBuffers, Role};
-use crate::network::soft::{self, Outgoing, Tag};
+use crate::network::soft::{self, Outgoing, Tag, Unsent};
 use crate::services::{Declaration, Services, TooMany};
 use crate::time::Instant;
 use core::task::{Poll, Waker};
@@ -120,7 +120,7 @@ impl<
             // Giving up takes no room.
             let _ = self.declare(declared.borrow());
         }
-        self.etch.recall(|tag, _| tag == publication.tag()).map(Due)
+        self.etch.recall(&Unsent::Of(publication.tag())).map(Due)
     }
 
     /// Gives up a subscription, with the events that wait for it.

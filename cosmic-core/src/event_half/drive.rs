@@ -5,7 +5,7 @@ use crate::calendar::Slot;
 use crate::can::{Command, Frame, Mailbox, Outcome, Priority, TxNode};
 use crate::event_layer::{Accepted, Exception, ExceptionKind, Kept, Received};
 use crate::network::hard::{BufferId, HrtBuffers};
-use crate::network::soft::{self, Tag};
+use crate::network::soft::{self, Tag, Unsent};
 use crate::services::{NodeView, Request, Services};
 use crate::time::Instant;
 
@@ -207,7 +207,7 @@ impl<
             }
             Request::Send(frame) => self.etch.queue_for_services(frame).map(|()| None),
             Request::Withdraw(frame) => {
-                let [_, command] = self.etch.recall(|tag, waiting| tag == SERVICES && *waiting == frame);
+                let [_, command] = self.etch.recall(&Unsent::Frame(SERVICES, frame));
                 Ok(command)
             }
             Request::Clock => {
@@ -243,7 +243,7 @@ impl<
                 self.layer.unbind(subject);
                 if let Some(tag) = self.layer.tag_of(subject) {
                     // Under the old etag they would be another channel's.
-                    self.etch.revoke(now, |source| source == tag);
+                    self.etch.revoke(now, &Unsent::Of(tag));
                 }
                 Ok(None)
             }
@@ -268,7 +268,7 @@ impl<
     fn set_tx_node(&mut self, tx_node: Option<TxNode>, now: Instant) {
         if self.own.get() != tx_node {
             // The frames that wait bear an id that is another node's.
-            self.etch.revoke(now, |source| source != SERVICES);
+            self.etch.revoke(now, &Unsent::OfOthersThan(SERVICES));
             if SLOTS > 0 {
                 self.revoke_hard(tx_node, now);
             }

@@ -1,6 +1,8 @@
 //! The event-triggered channel handler: earliest deadline first by the priority field.
 
-use super::lane::{Attended, Departure, Entry, Full, Incident, Lane, Outgoing, RESERVED, Report, Tag};
+use super::lane::{
+    Attended, Departure, Entry, Full, Incident, Lane, Outgoing, RESERVED, Report, Tag, Unsent,
+};
 use crate::calendar::Calendar;
 use crate::can::{BitRate, Command, Etag, Frame, Mailbox, Outcome, Payload, Priority};
 use crate::time::{Duration, Instant};
@@ -288,9 +290,9 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
     }
 
     /// Gives up events that have not been sent. O(SOFT² + NRT²); at most one command for each mailbox.
-    pub fn recall(&mut self, which: impl Fn(Tag, &Frame) -> bool) -> [Option<Command>; 2] {
-        let soft = if Self::HAS_SOFT { self.soft.recall(&which) } else { None };
-        [soft, self.non_real_time.recall(&which)]
+    pub fn recall(&mut self, which: &Unsent) -> [Option<Command>; 2] {
+        let soft = if Self::HAS_SOFT { self.soft.recall(which) } else { None };
+        [soft, self.non_real_time.recall(which)]
     }
 
     /// The channel of this source has another etag. What has not been sent goes under the new one, except a
@@ -302,13 +304,13 @@ impl<const SOFT: usize, const NRT: usize> Etch<SOFT, NRT> {
         soft.or(non_real_time)
     }
 
-    /// The identifiers of the events that meet the condition belong to somebody else now: they are discarded,
+    /// The identifiers of these events belong to somebody else now: they are discarded,
     /// and that is reported. One that is on the wire already is sent. O(SOFT + NRT).
-    pub fn revoke(&mut self, now: Instant, which: impl Fn(Tag) -> bool) {
+    pub fn revoke(&mut self, now: Instant, which: &Unsent) {
         if Self::HAS_SOFT {
-            self.soft.revoke(now, &which);
+            self.soft.revoke(now, which);
         }
-        self.non_real_time.revoke(now, &which);
+        self.non_real_time.revoke(now, which);
     }
 
     /// A mailbox of this path has become empty.

@@ -75,6 +75,27 @@ pub struct Sent {
     pub frame: Frame,
 }
 
+/// Which of the events that have not been sent.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Unsent {
+    /// Those that come from here.
+    Of(Tag),
+    /// Those that do not come from here.
+    OfOthersThan(Tag),
+    /// This frame from here.
+    Frame(Tag, Frame),
+}
+
+impl Unsent {
+    fn includes(&self, entry: &Entry) -> bool {
+        match self {
+            Self::Of(tag) => entry.tag == *tag,
+            Self::OfOthersThan(tag) => entry.tag != *tag,
+            Self::Frame(tag, frame) => entry.tag == *tag && entry.frame == *frame,
+        }
+    }
+}
+
 /// What became of the event that was in a mailbox.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -286,9 +307,11 @@ impl<const N: usize> Lane<N> {
 
     /// Removes events that have not been sent: from the queue at once, from the mailbox by the command
     /// that is returned. O(N²), and O(N) for one event.
-    pub(super) fn recall(&mut self, which: impl Fn(Tag, &Frame) -> bool) -> Option<Command> {
-        while self.queue.take_where(|entry| which(entry.tag, &entry.frame)).is_some() {}
-        if !self.queue.out().is_some_and(|loaded| which(loaded.tag, &loaded.frame)) {
+    // Out of line, as it is asked for in several places.
+    #[inline(never)]
+    pub(super) fn recall(&mut self, which: &Unsent) -> Option<Command> {
+        while self.queue.take_where(|entry| which.includes(entry)).is_some() {}
+        if !self.queue.out().is_some_and(|loaded| which.includes(loaded)) {
             return None;
         }
         // Once only is the frame asked for.
@@ -308,13 +331,14 @@ impl<const N: usize> Lane<N> {
         if is_old { self.withdraw() } else { None }
     }
 
-    /// The identifier of what meets the condition is not its own any more: it is discarded. O(N).
-    pub(super) fn revoke(&mut self, now: Instant, which: impl Fn(Tag) -> bool) {
-        for entry in self.queue.waiting_mut().filter(|entry| which(entry.tag)) {
+    /// The identifier of these is not their own any more: they are discarded. O(N).
+    #[inline(never)]
+    pub(super) fn revoke(&mut self, now: Instant, which: &Unsent) {
+        for entry in self.queue.waiting_mut().filter(|entry| which.includes(entry)) {
             entry.lose_identifier(now);
         }
         if let Some(loaded) = self.queue.out_mut()
-            && which(loaded.tag)
+            && which.includes(loaded)
         {
             match &mut self.withdrawing {
                 Some(AndThen::Expire | AndThen::Forget) => {}

@@ -18,4 +18,4 @@ mod lane;
 mod queue;
 
 pub use etch::{Etch, EtchCounters, EtchStep, PriorityMap};
-pub use lane::{Departure, Full, Incident, IncidentKind, Outgoing, RESERVED, Sent, Tag};
+pub use lane::{Departure, Full, Incident, IncidentKind, Outgoing, RESERVED, Sent, Tag, Unsent};
