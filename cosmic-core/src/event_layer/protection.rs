@@ -134,7 +134,10 @@ impl<D: Kept> Entry<D> {
     }
 
     /// How many events have not come by now that should have.
-    #[expect(clippy::arithmetic_side_effects, reason = "an interval is not zero")]
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "an interval is not zero, and all that have passed end by now"
+    )]
     pub(super) fn take_overdue(&mut self, now: Instant) -> u32 {
         let Some(rate) = self.rate() else { return 0 };
         let overdue_at = self.overdue_at();
@@ -143,11 +146,9 @@ impl<D: Kept> Entry<D> {
         }
         let late = now.saturating_since(overdue_at).as_ticks();
         let interval = rate.interval().as_ticks().max(1);
-        let missed = (late / interval).saturating_add(1);
+        let more = late / interval;
         // As if each had come, and been as late as it may be.
-        let since =
-            self.awaited_since.since_epoch().as_ticks().saturating_add(missed.saturating_mul(interval));
-        self.awaited_since = Instant::from_epoch(Duration::from_ticks(since));
-        u32::try_from(missed).unwrap_or(u32::MAX)
+        self.awaited_since = self.awaited_since + Duration::from_ticks(more * interval + interval);
+        u32::try_from(more).unwrap_or(u32::MAX).saturating_add(1)
     }
 }
