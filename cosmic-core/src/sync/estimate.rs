@@ -15,7 +15,8 @@
 use super::config::SyncConfig;
 use crate::time::{Duration, GlobalClock, GlobalInstant, Instant, Rate, RateChange, Uncertainty, rate};
 
-/// The values from `low` to `high`.
+/// The values from `low` to `high`. Both are of 62 bits at most, so that sums and differences do not wrap: global time is
+/// of [60 bits](crate::protocol::FollowUp::END) on the wire, local time of fewer in any life.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Interval {
@@ -25,11 +26,11 @@ struct Interval {
 
 impl Interval {
     const fn around(centre: i64, radius: i64) -> Self {
-        Self { low: centre.saturating_sub(radius), high: centre.saturating_add(radius) }
+        Self { low: centre.wrapping_sub(radius), high: centre.wrapping_add(radius) }
     }
 
     const fn widened(self, by: i64) -> Self {
-        Self { low: self.low.saturating_sub(by), high: self.high.saturating_add(by) }
+        Self { low: self.low.wrapping_sub(by), high: self.high.wrapping_add(by) }
     }
 
     /// `None` if they have nothing in common.
@@ -67,8 +68,8 @@ impl Point {
             return None;
         }
         let half_change = i64::from(change.over(Duration::from_ticks(span.cast_unsigned()))) / 2 + 1;
-        let low = slope(later.offset.low.saturating_sub(self.offset.high), span)?;
-        let high = slope(later.offset.high.saturating_sub(self.offset.low), span)?;
+        let low = slope(later.offset.low.wrapping_sub(self.offset.high), span)?;
+        let high = slope(later.offset.high.wrapping_sub(self.offset.low), span)?;
         // One unit more, for the rounding of the quotients.
         Some(Interval { low, high }.widened(half_change + 1))
     }
@@ -202,8 +203,8 @@ impl Estimate {
         let mean = self.rate.widened(change / 2 + 1).intersection(self.any_rate())?;
         let gain = |fraction: i64| rate::gain(i32::try_from(fraction).unwrap_or(0), span);
         let offset = Interval {
-            low: self.now.offset.low.saturating_add(gain(mean.low)),
-            high: self.now.offset.high.saturating_add(gain(mean.high) + 1),
+            low: self.now.offset.low.wrapping_add(gain(mean.low)),
+            high: self.now.offset.high.wrapping_add(gain(mean.high) + 1),
         };
         let rate = self.rate.widened(change).intersection(self.any_rate())?;
         Some(Self { now: Point { at, offset }, rate, ..*self })
