@@ -380,11 +380,15 @@ impl Judge<'_> {
     }
 
     /// Returns whether the node was told of this between the ready instant and half a period after the
-    /// delivery instant.
+    /// delivery instant. One that does not know the time does not know either when the slot is, but tells once in each of
+    /// its periods: that may be anywhere in the slot's.
     fn was_told(&self, node: TxNode, slot: &Slot, window: &Window, kind: ExceptionKind) -> bool {
-        let early = Span::from(self.journal.cluster.calendar.segment().accuracy);
-        let from = (-early).after(window.ready);
-        let until = window.delivery + (slot.period / 2);
+        let accuracy = self.journal.cluster.calendar.segment().accuracy;
+        let from = (-Span::from(accuracy)).after(window.ready);
+        let mut until = window.delivery + (slot.period / 2);
+        if kind == ExceptionKind::ClockOutOfBound {
+            until = until.max(window.ready + (slot.period + accuracy));
+        }
         self.ledger.told.iter().any(|told| {
             (told.node, told.etag, told.kind) == (node, Some(slot.etag), kind)
                 && told.at >= from

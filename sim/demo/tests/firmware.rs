@@ -118,6 +118,18 @@ fn the_promise_is_kept_at_any_error_rate() {
     }
 }
 
+/// In one of eight such runs a node does not find the time of the cluster again after its bus-off, and says so at instants
+/// that lie anywhere in the periods of its slots.
+#[test]
+fn a_node_that_does_not_know_when_its_slot_is_has_told_all_the_same() {
+    for seed in 10..22 {
+        let scratch = Scratch::new("untimely");
+        let arguments = ["--seconds", "2.5", "--errors", "0.9", "--seed", &seed.to_string()];
+        let printed = text(&demo(&images(), &arguments, &scratch.0, None).stdout);
+        assert!(printed.contains("PASSED") || printed.contains(NOT_JUDGED), "seed {seed}: {printed}");
+    }
+}
+
 #[test]
 fn a_bus_that_carries_nothing_is_said_to() {
     let scratch = Scratch::new("nothing");
