@@ -102,11 +102,14 @@ impl EventRate {
     }
 
     /// From one event to the instant at which the next is overdue, if each is sent by its deadline.
+    #[expect(
+        clippy::arithmetic_side_effects,
+        reason = "interval and tolerance are at most [`Self::LONGEST`], 59 bits"
+    )]
     pub(super) const fn patience(&self, quality: &SoftAttributes) -> Duration {
         let ticks = self.interval.as_ticks();
-        let slack = (ticks / CLOCKS_DIFFER).saturating_add(self.tolerance.as_ticks());
-        let deadline = quality.deadline.as_ticks();
-        Duration::from_ticks(ticks.saturating_add(slack).saturating_add(deadline))
+        let span = ticks + ticks / CLOCKS_DIFFER + self.tolerance.as_ticks();
+        Duration::from_ticks(span.saturating_add(quality.deadline.as_ticks()))
     }
 }
 
@@ -126,12 +129,13 @@ impl Guard {
     pub(super) const NEW: Self = Self { nominal: Instant::EPOCH, charged: false, prepaid: false };
 
     /// Charges an event, or says that it comes too early. O(1).
+    #[expect(clippy::arithmetic_side_effects, reason = "interval and tolerance are of 59 bits")]
     pub(super) fn charge(&mut self, rate: &EventRate, now: Instant) -> bool {
         let interval = rate.enforced();
         let ahead = self.nominal.saturating_since(now);
         // No event brings the nominal instant further ahead, so the clock has gone back. The bucket is empty then,
         // but fills as always.
-        let most = Duration::from_ticks(interval.as_ticks().saturating_add(rate.tolerance.as_ticks()));
+        let most = Duration::from_ticks(interval.as_ticks() + rate.tolerance.as_ticks());
         let ahead = ahead.min(most);
         let nominal = now + ahead;
         let conforms = ahead <= rate.tolerance;

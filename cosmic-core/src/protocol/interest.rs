@@ -78,8 +78,9 @@ impl Lease {
     }
 
     /// How long it holds; zero if it withdraws.
+    #[expect(clippy::arithmetic_side_effects, reason = "14 bits by 27")]
     pub const fn duration(self) -> Duration {
-        Duration::from_ticks(LEASE_STEP.as_ticks().saturating_mul(self.0 as u64))
+        Duration::from_ticks(LEASE_STEP.as_ticks() * self.0 as u64)
     }
 
     pub(super) const fn steps(self) -> u16 {

@@ -164,9 +164,10 @@ impl SyncConfig {
         self.periods(Self::HOLDOVER_PERIODS + (Self::HOLDOVER_PERIODS + 1) + 1)
     }
 
-    /// So many periods.
+    /// So many periods; a few.
+    #[expect(clippy::arithmetic_side_effects, reason = "a period fits 34 bits, which `check` says")]
     pub(super) const fn periods(&self, count: u64) -> Duration {
-        Duration::from_ticks(self.period.as_ticks().saturating_mul(count))
+        Duration::from_ticks(self.period.as_ticks() * count)
     }
 
     const HOLDOVER_PERIODS: u64 = 6;

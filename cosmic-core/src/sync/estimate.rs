@@ -180,10 +180,10 @@ impl Estimate {
             .offset_by(self.now.at.since_epoch().as_ticks().cast_signed())
             .offset_by(self.now.offset.centre());
         // The centre of the rate may be rounded, by less than a unit.
-        let rate_error = i64::try_from(self.rate.radius()).unwrap_or(i64::MAX).saturating_add(1);
+        let rate_error = self.rate.radius().cast_signed().wrapping_add(1);
         let uncertainty = Uncertainty {
             error: Duration::from_ticks(self.now.offset.radius().saturating_add(more.as_ticks())),
-            rate_error: Rate::from_fraction(rate_error.saturating_add(more_rate.into())),
+            rate_error: Rate::from_fraction(rate_error.wrapping_add(more_rate.into())),
             rate_change: self.rate_change,
             valid_until,
         };
