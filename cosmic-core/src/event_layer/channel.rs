@@ -4,6 +4,7 @@ use super::attributes::{Attributes, HardAttributes, NonRealTimeAttributes, SoftA
 use super::content::Content;
 use super::filter::Filter;
 use super::gate::Gate;
+use super::kept::Kept;
 use super::pool::List;
 use super::rate::{EventRate, Guard};
 use crate::admission::Offer;
@@ -13,7 +14,6 @@ use crate::network::soft::Tag;
 use crate::protocol::LayoutHash;
 use crate::time::Instant;
 use crate::uid::Subject;
-use core::borrow::Borrow;
 use core::marker::PhantomData;
 use core::task::Waker;
 
@@ -45,7 +45,7 @@ impl<C> Copy for Channel<C> {}
 
 /// A channel without the type of its content: what a node knows of it.
 ///
-/// A node whose channels are constants, as those of firmware are, keeps a [`Constant`] of each: it takes no copy.
+/// A node whose channels are constants, as those of firmware are, keeps a [`Constant`](super::Constant) of each: it takes no copy.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Declared {
     pub(crate) subject: Subject,
@@ -169,38 +169,6 @@ impl From<&Self> for Declared {
     fn from(declared: &Self) -> Self {
         *declared
     }
-}
-
-/// How a node keeps the channels that it knows, and what it does for them. What it does not do it has no code for.
-pub trait Kept: Borrow<Declared> + Copy {
-    /// It has channels whose events carry attributes of context; a node without refuses them, and filters.
-    const CONTEXTS: bool = true;
-    /// It holds publishers to the rates of their channels, and tells subscribers of events that do not come.
-    const RATES: bool = true;
-}
-
-impl Kept for Declared {}
-
-/// A channel that is a constant of the program: a node keeps no copy.
-#[derive(Clone, Copy, Debug)]
-pub struct Constant<const CONTEXTS: bool, const RATES: bool>(&'static Declared);
-
-impl<const CONTEXTS: bool, const RATES: bool> Borrow<Declared> for Constant<CONTEXTS, RATES> {
-    #[inline]
-    fn borrow(&self) -> &Declared {
-        self.0
-    }
-}
-
-impl<const CONTEXTS: bool, const RATES: bool> From<&'static Declared> for Constant<CONTEXTS, RATES> {
-    fn from(declared: &'static Declared) -> Self {
-        Self(declared)
-    }
-}
-
-impl<const CONTEXTS: bool, const RATES: bool> Kept for Constant<CONTEXTS, RATES> {
-    const CONTEXTS: bool = CONTEXTS;
-    const RATES: bool = RATES;
 }
 
 impl Declared {

@@ -2,7 +2,7 @@
 //! subscribers.
 
 use super::channel::{
-    Channel, ChannelCounters, Declared, Entry, Kept, NONE, Outlet, Policy, Publication, Route, Subscriber,
+    Channel, ChannelCounters, Declared, Entry, NONE, Outlet, Policy, Publication, Route, Subscriber,
     Subscription,
 };
 use super::content::Content;
@@ -10,6 +10,7 @@ use super::delivery::{Accepted, Delivered, Received, decode};
 use super::error::{AnnounceError, SubscribeError};
 use super::filter::{Context, Filter};
 use super::gate::Gate;
+use super::kept::Kept;
 use super::pool::{Pool, PoolFull};
 use super::rate::Guard;
 use crate::can::{Etag, Frame, TxNode, TxNodes};

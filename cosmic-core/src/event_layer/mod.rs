@@ -9,6 +9,7 @@ mod error;
 mod exception;
 mod filter;
 mod gate;
+mod kept;
 mod layer;
 mod messages;
 mod pool;
@@ -20,15 +21,14 @@ pub use messages::{MessageChannel, MessagePublisher, MessageSubscriber};
 pub use crate::protocol::Class;
 pub use attributes::{Attributes, HardAttributes, Importance, NonRealTimeAttributes, SoftAttributes};
 pub use bytes::Bytes;
-pub use channel::{
-    Channel, ChannelCounters, Constant, Declared, Depth, Kept, Policy, Publication, Subscription,
-};
+pub use channel::{Channel, ChannelCounters, Declared, Depth, Policy, Publication, Subscription};
 pub use content::{Content, layout_of};
 pub use delivery::Delivered;
 pub use error::{AnnounceError, SubscribeError};
 pub use exception::{Exception, ExceptionKind};
 pub use filter::{Attribute, Context, Filter, NoRoom};
 pub use gate::Gate;
+pub use kept::{Constant, Kept};
 pub use layer::EventLayer;
 pub use publish::{Event, PublishError, Published};
 pub use rate::EventRate;

@@ -2,8 +2,9 @@
 //! until they are admitted, and subscribers of periodic ones are told of events that do not come.
 
 use super::attributes::Attributes;
-use super::channel::{Declared, Entry, Kept, Outlet};
+use super::channel::{Declared, Entry, Outlet};
 use super::gate::Gate;
+use super::kept::Kept;
 use super::layer::EventLayer;
 use super::publish::PublishError;
 use crate::network::soft::Tag;

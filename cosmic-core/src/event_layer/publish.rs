@@ -1,10 +1,11 @@
 //! From an event to what leaves the node.
 
 use super::attributes::Attributes;
-use super::channel::{Entry, Kept};
+use super::channel::Entry;
 use super::content::Content;
 use super::filter::Context;
 use super::gate::Gate;
+use super::kept::Kept;
 use super::layer::EventLayer;
 use crate::can::{Frame, Payload, Priority};
 use crate::network::hard::BufferId;
