@@ -9,7 +9,9 @@
 use core::hint::black_box;
 
 use cosmic_core::can::{BitRate, Command, Etag, Frame, Id, Mailbox, Outcome, Payload, Priority, TxNode};
-use cosmic_core::network::soft::{Etch, EtchStep, Full, Incident, Outgoing, PriorityMap, RESERVED, Tag};
+use cosmic_core::network::soft::{
+    Etch, EtchStep, Full, Incident, Outgoing, PriorityMap, RESERVED, Tag, Unsent,
+};
 use cosmic_core::time::{Duration, Instant};
 use qemu_tests::controller::{Controller, Sender, Sent};
 use qemu_tests::mono::Mono;
@@ -75,7 +77,7 @@ fn recalled() {
     for event in 1..=3 {
         node.submit_soft(event, 1_000, 5_000);
     }
-    for command in node.etch.recall(|tag, _| tag != Tag(3)).into_iter().flatten() {
+    for command in node.etch.recall(&Unsent::OfOthersThan(Tag(3))).into_iter().flatten() {
         node.execute(command);
     }
     node.run_until(3_000);
