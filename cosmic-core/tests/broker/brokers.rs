@@ -6,16 +6,12 @@ use cosmic_core::can::{Etag, Frame, Id, Payload, Priority, TxNode};
 use cosmic_core::protocol::*;
 use cosmic_core::time::{Duration, Instant};
 
-use crate::ether::{from_candump, subject, tx_node, uid};
+use crate::ether::{at, from_candump, subject, tx_node, uid};
 
 const TIMING: BrokerTiming = BrokerTiming::DEFAULT;
 const HOST: u8 = 1;
 
 type SmallBroker = Broker<2, 2>;
-
-fn at(milliseconds: u64) -> Instant {
-    Instant::from_epoch(Duration::from_millis(milliseconds))
-}
 
 fn frames(broker: &mut SmallBroker, now: Instant) -> Vec<Frame> {
     let outputs = core::iter::from_fn(|| broker.poll(now));

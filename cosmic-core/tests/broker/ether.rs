@@ -48,6 +48,10 @@ pub(crate) struct Node {
     pub(crate) broker_events: Vec<BrokerEvent>,
 }
 
+pub(crate) fn at(milliseconds: u64) -> Instant {
+    Instant::from_epoch(Duration::from_millis(milliseconds))
+}
+
 pub(crate) const fn uid(uid: u64) -> NodeUid {
     NodeUid::new(uid).unwrap()
 }

@@ -1,7 +1,8 @@
 //! Configuration and binding on a whole cluster: clients and brokers under the faults that we can name.
 
+mod binding;
 mod brokers;
-mod clients;
+mod configuration;
 mod ether;
 mod famouso;
 mod robustness;
