@@ -12,7 +12,11 @@ use crate::time::{GlobalClock, Instant};
 ///
 /// A runtime that is generic over it need not know the numbers. Its functions are those of the types that it
 /// names. It is sealed: that its functions do no more than the core's own is what lets a runtime lock around them.
-pub trait Capacity: sealed::Sealed + 'static {
+pub trait Capacity: 'static {
+    /// Only the core can state it.
+    #[doc(hidden)]
+    const SEAL: sealed::Seal;
+
     /// The HRT message buffers.
     type Buffers: Send + 'static;
     /// The time-triggered half.
@@ -60,7 +64,7 @@ pub trait Capacity: sealed::Sealed + 'static {
 /// [`EventHalf`]. `FRAMES`, `OUTCOMES` and `NOTICES` follow from the others: what waits for a half whose task is not this
 /// one's, in a runtime that has queues for it. They are [`frames_waiting`], [`outcomes_waiting`] and [`notices_waiting`].
 /// `URGENT` is the same of frames of the clock: [`URGENT_WAITING`], or none. `CONTEXTS` and `RATES` stand at
-/// [`Kept`](crate::event_layer::Kept).
+/// [`Listed`](crate::event_layer::Listed).
 #[derive(Debug)]
 pub struct Sizes<
     const SLOTS: usize,
@@ -96,21 +100,12 @@ pub const fn outcomes_waiting(slots: usize) -> usize {
 /// Frames of the clock that wait to be taken in. Hard real-time frames go into their buffers.
 pub const URGENT_WAITING: usize = 4;
 
-/// What was stated, if anything was, before what is usual: the first of these.
+/// What was stated, if anything was, or what is usual.
 #[doc(hidden)]
-pub const fn stated_or_usual(numbers: &[usize]) -> usize {
-    match numbers.first() {
-        Some(&number) => number,
-        None => 0,
-    }
-}
-
-/// As [`stated_or_usual`], of what a node has or has not: usually it has.
-#[doc(hidden)]
-pub const fn stated_or_true(stated: &[bool]) -> bool {
+pub const fn stated_or_usual<T: Copy>(stated: &[T], usual: T) -> T {
     match stated.first() {
         Some(&stated) => stated,
-        None => true,
+        None => usual,
     }
 }
 
@@ -154,6 +149,8 @@ impl<
         RATES,
     >
 {
+    const SEAL: sealed::Seal = sealed::Seal;
+
     type Buffers = HrtBuffers<SLOTS>;
     type Dispatcher = Dispatcher<SLOTS>;
     type Half<S: Services, H: HardAccess<Self::Buffers>> = EventHalf<
@@ -214,45 +211,14 @@ impl<
 }
 
 mod sealed {
-    pub trait Sealed {}
-
-    impl<
-        const SLOTS: usize,
-        const CHANNELS: usize,
-        const SUBSCRIPTIONS: usize,
-        const EVENTS: usize,
-        const SOFT: usize,
-        const NRT: usize,
-        const FRAMES: usize,
-        const OUTCOMES: usize,
-        const NOTICES: usize,
-        const EXCEPTIONS: usize,
-        const URGENT: usize,
-        const CONTEXTS: bool,
-        const RATES: bool,
-    > Sealed
-        for super::Sizes<
-            SLOTS,
-            CHANNELS,
-            SUBSCRIPTIONS,
-            EVENTS,
-            SOFT,
-            NRT,
-            FRAMES,
-            OUTCOMES,
-            NOTICES,
-            EXCEPTIONS,
-            URGENT,
-            CONTEXTS,
-            RATES,
-        >
-    {
-    }
+    /// Has no name outside.
+    #[derive(Debug)]
+    pub struct Seal;
 }
 
 /// Names a [`Capacity`].
 ///
-/// The last four may be left out. Each is for a node that does without something, and then has no code or room for it:
+/// The last four may be left out. Each is for a node that does without something, and then has no code for it:
 ///
 /// - `exceptions`, that wait for the application, are as many as non real-time events otherwise. A node that fetches none
 ///   says zero, and they are only counted.
@@ -305,10 +271,10 @@ macro_rules! capacity {
             { $crate::event_half::frames_waiting($events) },
             { $crate::event_half::outcomes_waiting($slots) },
             { $crate::event_half::notices_waiting($slots) },
-            { $crate::event_half::stated_or_usual(&[$($exceptions,)? $non_real_time]) },
-            { $crate::event_half::stated_or_usual(&[$($urgent,)? $crate::event_half::URGENT_WAITING]) },
-            { $crate::event_half::stated_or_true(&[$($contexts)?]) },
-            { $crate::event_half::stated_or_true(&[$($rates)?]) },
+            { $crate::event_half::stated_or_usual(&[$($exceptions)?], $non_real_time) },
+            { $crate::event_half::stated_or_usual(&[$($urgent)?], $crate::event_half::URGENT_WAITING) },
+            { $crate::event_half::stated_or_usual(&[$($contexts)?], true) },
+            { $crate::event_half::stated_or_usual(&[$($rates)?], true) },
         >;
     };
 }

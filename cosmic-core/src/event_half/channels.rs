@@ -4,7 +4,7 @@ use super::{Due, EventHalf, HardAccess, PUBLISHES, SUBSCRIBES};
 use crate::calendar::Slot;
 use crate::can::{Command, Frame, Id, Payload, Priority};
 use crate::event_layer::{
-    AnnounceError, Attributes, Channel, Content, Declared, Delivered, Event, ExceptionKind, Filter, Kept,
+    AnnounceError, Attributes, Channel, Content, Declared, Delivered, Event, ExceptionKind, Filter, Listed,
     MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, Published, Quality,
     SubscribeError, Subscription, encode,
 };
@@ -24,7 +24,7 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-    D: Kept,
+    D: Listed,
     const EXCEPTIONS: usize,
 > EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {

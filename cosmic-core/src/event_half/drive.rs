@@ -3,7 +3,7 @@
 use super::{EventHalf, HardAccess, Input, Own, PUBLISHES, SERVICES, Step};
 use crate::calendar::Slot;
 use crate::can::{Command, Frame, Mailbox, Outcome, Priority, TxNode};
-use crate::event_layer::{Accepted, Exception, ExceptionKind, Kept, Received};
+use crate::event_layer::{Accepted, Exception, ExceptionKind, Listed, Received};
 use crate::network::hard::{BufferId, HrtBuffers};
 use crate::network::soft::{self, Tag, Unsent};
 use crate::services::{NodeView, Request, Services};
@@ -18,7 +18,7 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-    D: Kept,
+    D: Listed,
     const EXCEPTIONS: usize,
 > EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {

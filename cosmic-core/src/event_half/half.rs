@@ -5,7 +5,7 @@ use crate::can::Payload;
 use crate::can::filter_banks::Wanted;
 use crate::event_layer::{
     AnnounceError, Channel, ChannelCounters, Content, Declared, Delivered, Event, Exception, ExceptionKind,
-    Filter, Kept, MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, SubscribeError,
+    Filter, Listed, MessagePublisher, MessageSubscriber, Policy, Publication, PublishError, SubscribeError,
     Subscription,
 };
 use crate::network::fragments::Message;
@@ -139,7 +139,7 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-    D: Kept + From<&'static Declared>,
+    D: Listed + From<&'static Declared>,
     const EXCEPTIONS: usize,
 > Half for EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {

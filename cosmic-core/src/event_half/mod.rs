@@ -29,8 +29,7 @@ mod interest;
 
 pub use crate::event_layer::Delivered;
 pub use capacity::{
-    Capacity, Sizes, URGENT_WAITING, frames_waiting, notices_waiting, outcomes_waiting, stated_or_true,
-    stated_or_usual,
+    Capacity, Sizes, URGENT_WAITING, frames_waiting, notices_waiting, outcomes_waiting, stated_or_usual,
 };
 pub use half::Half;
 pub use input::{Input, outcome, receive};
@@ -40,7 +39,7 @@ use crate::calendar::Calendar;
 use crate::can::filter_banks::{Fifo, Wanted};
 use crate::can::{Command, ErrorCounters, TxNode};
 use crate::event_layer::{
-    Accepted, ChannelCounters, Declared, EventLayer, Exception, ExceptionKind, Exceptions, Kept,
+    Accepted, ChannelCounters, Declared, EventLayer, Exception, ExceptionKind, Exceptions, Listed,
 };
 use crate::network::hard::{Counters, Exceptional, HrtBuffers, Role};
 use crate::network::soft::{self, Etch, EtchCounters, PriorityMap, Tag};
@@ -158,7 +157,7 @@ impl<
     const NRT: usize,
     S: Services,
     H: HardAccess<HrtBuffers<SLOTS>>,
-    D: Kept,
+    D: Listed,
     const EXCEPTIONS: usize,
 > EventHalf<SLOTS, CHANNELS, SUBSCRIPTIONS, EVENTS, SOFT, NRT, S, H, D, EXCEPTIONS>
 {

@@ -2,12 +2,11 @@
 
 use super::attributes::{Attributes, HardAttributes, NonRealTimeAttributes, SoftAttributes};
 use super::content::Content;
+use super::declared::{Declared, Listed};
 use super::filter::Filter;
 use super::gate::Gate;
-use super::kept::Kept;
 use super::pool::List;
 use super::rate::{EventRate, Guard};
-use crate::admission::Offer;
 use crate::can::{Etag, Id, Priority, TxNode, TxNodes};
 use crate::network::hard::BufferId;
 use crate::network::soft::Tag;
@@ -42,22 +41,6 @@ impl<C> Clone for Channel<C> {
 }
 
 impl<C> Copy for Channel<C> {}
-
-/// A channel without the type of its content: what a node knows of it.
-///
-/// A node whose channels are constants, as those of firmware are, keeps a [`Constant`](super::Constant) of each: it takes no copy.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Declared {
-    pub(crate) subject: Subject,
-    pub(crate) attributes: Attributes,
-    pub(crate) etag: Option<Etag>,
-    pub(crate) context: bool,
-    pub(crate) layout: LayoutHash,
-    /// Bytes of an event, with the byte of presence of a channel with context.
-    pub(crate) len: usize,
-    /// How often events come, if that is stated.
-    pub(crate) rate: Option<EventRate>,
-}
 
 impl<C: Content> Channel<C> {
     /// A hard real-time channel. Its etag is that of the calendar.
@@ -162,24 +145,6 @@ impl<C: Content> Channel<C> {
     /// Returns whether its events carry [attributes of context](super::Context).
     pub const fn has_context(&self) -> bool {
         self.declared.context
-    }
-}
-
-impl From<&Self> for Declared {
-    fn from(declared: &Self) -> Self {
-        *declared
-    }
-}
-
-impl Declared {
-    /// What it is to be, if it is a soft real-time channel.
-    pub(crate) fn offer(&self) -> Option<Offer> {
-        match self.attributes {
-            Attributes::Soft(SoftAttributes { deadline, .. }) => {
-                Some(Offer { rate: self.rate, deadline, len: self.len })
-            }
-            Attributes::Hard(_) | Attributes::NonRealTime(_) => None,
-        }
     }
 }
 
@@ -310,7 +275,7 @@ impl<D> Entry<D> {
     }
 }
 
-impl<D: Kept> Entry<D> {
+impl<D: Listed> Entry<D> {
     /// The channel as it was declared.
     #[inline]
     pub(super) fn declared(&self) -> &Declared {

@@ -28,7 +28,7 @@ pub enum AnnounceError {
     /// for.
     NotAskable,
     /// The events of the channel carry attributes of context, or there is a filter of such: the node does without
-    /// ([`Kept::CONTEXTS`](super::Kept::CONTEXTS)).
+    /// ([`Listed::CONTEXTS`](super::Listed::CONTEXTS)).
     NoContexts,
     /// The subject is [reserved](crate::Subject::RESERVED) for brokers.
     ReservedSubject,

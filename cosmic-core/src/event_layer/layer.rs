@@ -1,19 +1,16 @@
-//! The event channel handler (ECH): announce, publish, subscribe, and delivery to the queues of the
-//! subscribers.
+//! The event channel handler (ECH): which channels a node announces and subscribes to, and what they are called.
 
 use super::channel::{
-    Channel, ChannelCounters, Declared, Entry, NONE, Outlet, Policy, Publication, Route, Subscriber,
-    Subscription,
+    Channel, ChannelCounters, Entry, NONE, Outlet, Policy, Publication, Route, Subscriber, Subscription,
 };
 use super::content::Content;
-use super::delivery::{Accepted, Delivered, Received, decode};
+use super::declared::{Declared, Listed};
 use super::error::{AnnounceError, SubscribeError};
-use super::filter::{Context, Filter};
+use super::filter::Filter;
 use super::gate::Gate;
-use super::kept::Kept;
-use super::pool::{Pool, PoolFull};
+use super::pool::Pool;
 use super::rate::Guard;
-use crate::can::{Etag, Frame, TxNode, TxNodes};
+use crate::can::{Etag, TxNode, TxNodes};
 use crate::network::hard::BufferId;
 use crate::network::id_map::IdMap;
 use crate::network::soft::{PriorityMap, Tag};
@@ -29,10 +26,10 @@ use core::task::Waker;
 #[repr(C)]
 pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D = Declared> {
     tx_node: Option<TxNode>,
-    map: PriorityMap,
-    by_etag: IdMap<{ Route::BITS }, CHANNELS>,
-    pool: Pool<EVENTS>,
-    subscribers: [Subscriber; SUBSCRIPTIONS],
+    pub(super) map: PriorityMap,
+    pub(super) by_etag: IdMap<{ Route::BITS }, CHANNELS>,
+    pub(super) pool: Pool<EVENTS>,
+    pub(super) subscribers: [Subscriber; SUBSCRIPTIONS],
     pub(super) channels: [Option<Entry<D>>; CHANNELS],
     /// No event is overdue before this instant.
     pub(super) first_overdue: Instant,
@@ -40,7 +37,7 @@ pub struct EventLayer<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const E
     renamed: bool,
 }
 
-impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Kept>
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Listed>
     EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>
 {
     /// A layer without channels. A node that is configured at run time has no TxNode yet.
@@ -200,138 +197,11 @@ impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: 
         self.by_etag.get(key(etag)).map(Route::decode)
     }
 
-    /// A frame has arrived. It is delivered here, if that can be done without a closer look; otherwise
-    /// that is left to [`deliver`](Self::deliver). O(1).
-    ///
-    /// A frame with the etag of a hard real-time channel is foreign: events of such channels come out of the
-    /// HRT message buffers at their instant, and in no other way.
-    #[inline]
-    pub(crate) fn receive(&mut self, frame: &Frame, received_at: Instant) -> Received {
-        self.receive_as::<true>(frame.id.etag().get().into(), frame, received_at)
-    }
-
-    /// As [`receive`](Self::receive), for an event that has come out of an HRT message buffer.
-    #[inline]
-    pub(crate) fn receive_hard(&mut self, frame: &Frame, received_at: Instant) -> Received {
-        self.receive_as::<false>(key_of_hard(frame.id.etag()), frame, received_at)
-    }
-
-    /// `MAY_BE_AWAITED`: not a hard real-time event, whose absence the calendar notices.
-    #[inline(always)]
-    fn receive_as<const MAY_BE_AWAITED: bool>(
-        &mut self,
-        key: u32,
-        frame: &Frame,
-        received_at: Instant,
-    ) -> Received {
-        let Some(route) = self.by_etag.get(key).map(Route::decode) else { return Received::Foreign };
-        let Some(subscriber) = self.subscribers.get_mut(usize::from(route.only)) else {
-            return Received::Undelivered(route.tag);
-        };
-        let list = &mut subscriber.list;
-        if list.len() >= subscriber.takes_any {
-            return Received::Undelivered(route.tag);
-        }
-        if D::RATES && MAY_BE_AWAITED && route.is_awaited {
-            match self.channels.get_mut(usize::from(route.tag.0)) {
-                Some(Some(entry)) if entry.awaited_since <= received_at => entry.awaited_since = received_at,
-                // The next is overdue earlier than was thought.
-                _ => return Received::Undelivered(route.tag),
-            }
-        }
-        if list.push(&mut self.pool, frame, received_at).is_err() {
-            return Received::Undelivered(route.tag);
-        }
-        subscriber.note_delivery();
-        Received::Delivered
-    }
-
-    /// Gives an event to the subscribers of its channel: O(1) for each, or O(length) of the queue of one
-    /// who wants the earliest deadline first.
-    #[inline(never)]
-    pub(crate) fn deliver(&mut self, tag: Tag, frame: &Frame, received_at: Instant) -> Accepted {
-        let Some(Some(entry)) = self.channels.get_mut(usize::from(tag.0)) else { return Accepted::Foreign };
-        let mut at = entry.first_subscription;
-        if at == NONE {
-            return Accepted::Foreign;
-        }
-        if entry.publishers.is_some_and(|publishers| !publishers.contains(frame.id.tx_node())) {
-            entry.counters.unplanned = entry.counters.unplanned.wrapping_add(1);
-            return Accepted::Unplanned(entry.declared().subject);
-        }
-        let mut context = Context::EMPTY;
-        if entry.has_context() {
-            let Some((carried, _)) = Context::split(&frame.payload) else {
-                entry.counters.malformed = entry.counters.malformed.wrapping_add(1);
-                return Accepted::Malformed(entry.declared().subject);
-            };
-            context = carried;
-        }
-        if entry.is_awaited() {
-            entry.awaited_since = received_at;
-            self.first_overdue = self.first_overdue.min(entry.overdue_at());
-        }
-        let mut accepted = Accepted::Delivered;
-        while let Some(subscriber) = self.subscribers.get_mut(usize::from(at)) {
-            let next = subscriber.next;
-            if subscriber.list.len() < subscriber.takes_any
-                && subscriber.list.push(&mut self.pool, frame, received_at).is_ok()
-            {
-                subscriber.note_delivery();
-            } else {
-                accepted = self.offer((tag, at), (frame, received_at), &context).unwrap_or(accepted);
-            }
-            at = next;
-        }
-        accepted
-    }
-
-    /// Gives an event to a subscriber who does not take every one, or has no room for it. Says what went wrong.
-    // Seldom, so that the way of an event that every subscriber takes is short.
-    #[cold]
-    fn offer(
-        &mut self,
-        (tag, at): (Tag, u8),
-        (frame, received_at): (&Frame, Instant),
-        context: &Context,
-    ) -> Option<Accepted> {
-        let entry = self.channels.get_mut(usize::from(tag.0))?.as_mut()?;
-        let subscriber = self.subscribers.get_mut(usize::from(at))?;
-        let counters = &mut entry.counters;
-        if D::CONTEXTS && !subscriber.filter.matches(context) {
-            counters.filtered = counters.filtered.wrapping_add(1);
-            return None;
-        }
-        match subscriber.queue(&mut self.pool, frame, received_at, self.map) {
-            Ok(replaced) => {
-                counters.replaced = counters.replaced.wrapping_add(replaced.into());
-                subscriber.note_delivery();
-                None
-            }
-            Err(PoolFull) => {
-                counters.overflowed = counters.overflowed.wrapping_add(1);
-                Some(Accepted::Overflowed(entry.declared.borrow().subject))
-            }
-        }
-    }
-
     /// Returns whether anybody subscribes to the channel here.
     #[inline]
     pub(crate) fn is_subscribed(&self, tag: Tag) -> bool {
         let entry = self.channels.get(usize::from(tag.0));
         matches!(entry, Some(Some(entry)) if entry.first_subscription != NONE)
-    }
-
-    /// Fetches the next event of a subscription; if its content is no value of the channel's type, only
-    /// when it arrived. O(1).
-    #[inline]
-    pub(crate) fn next<C: Content>(
-        &mut self,
-        subscription: &Subscription<C>,
-    ) -> Option<Result<Delivered<C>, Instant>> {
-        let subscriber = self.subscribers.get_mut(usize::from(subscription.index))?;
-        let event = subscriber.list.pop(&mut self.pool)?;
-        Some(decode(event, D::CONTEXTS && subscription.context).ok_or(event.received_at))
     }
 
     /// Has the waker woken by the next event of the subscription.
@@ -553,6 +423,6 @@ const fn key(etag: Etag) -> u32 {
 
 /// As [`key`], for an etag of the calendar.
 #[inline]
-const fn key_of_hard(etag: Etag) -> u32 {
+pub(super) const fn key_of_hard(etag: Etag) -> u32 {
     etag.get() as u32 | 1 << 14
 }

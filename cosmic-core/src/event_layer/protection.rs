@@ -2,16 +2,16 @@
 //! until they are admitted, and subscribers of periodic ones are told of events that do not come.
 
 use super::attributes::Attributes;
-use super::channel::{Declared, Entry, Outlet};
+use super::channel::{Entry, Outlet};
+use super::declared::{Declared, Listed};
 use super::gate::Gate;
-use super::kept::Kept;
 use super::layer::EventLayer;
 use super::publish::PublishError;
 use crate::network::soft::Tag;
 use crate::time::{Duration, Instant};
 use crate::uid::Subject;
 
-impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Kept>
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Listed>
     EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>
 {
     /// Whether this node may publish on a channel from now on. O(CHANNELS).
@@ -88,7 +88,7 @@ impl Declared {
     }
 }
 
-impl<D: Kept> Entry<D> {
+impl<D: Listed> Entry<D> {
     /// Opens the outlet of a channel with a rate for one event, which is charged for it. Returns whether it did; or that
     /// the event comes too early.
     fn open(&mut self, now: Instant) -> Result<bool, PublishError> {

@@ -3,9 +3,9 @@
 use super::attributes::Attributes;
 use super::channel::Entry;
 use super::content::Content;
+use super::declared::Listed;
 use super::filter::Context;
 use super::gate::Gate;
-use super::kept::Kept;
 use super::layer::EventLayer;
 use crate::can::{Frame, Payload, Priority};
 use crate::network::hard::BufferId;
@@ -127,7 +127,7 @@ pub enum Published {
     NonRealTime(Outgoing),
 }
 
-impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Kept>
+impl<const CHANNELS: usize, const SUBSCRIPTIONS: usize, const EVENTS: usize, D: Listed>
     EventLayer<CHANNELS, SUBSCRIPTIONS, EVENTS, D>
 {
     /// What an event becomes on its way. O(1).
